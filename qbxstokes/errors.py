@@ -1,0 +1,29 @@
+"""Errors that end a run with one clear line instead of a traceback.
+
+Every error a user can cause or meet derives from `QbxStokesError`; the command line prints its
+message (what, where, what would be right) and leaves with `exit_status`.
+"""
+
+
+class QbxStokesError(Exception):
+    """Base class; a run that meets one ends with `exit_status` and the message alone."""
+
+    exit_status = 1
+
+
+class CaseError(QbxStokesError):
+    """The input is wrong: a case file, a command line or a file named in them."""
+
+    exit_status = 2
+
+
+class FlowError(CaseError):
+    """The background flow is not Stokesian, or is singular where the body is."""
+
+
+class ConvergenceError(QbxStokesError):
+    """A solver or integrator stopped before it reached the tolerance that was asked for."""
+
+
+class ResultFileError(CaseError):
+    """A result file is missing, truncated, or was not written by this program."""
