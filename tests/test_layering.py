@@ -1,0 +1,194 @@
+"""The map of the house: imports go down only, and each outside library has one place.
+
+The packages are ordered in levels. A module imports from its own package and from lower levels;
+packages on one level do not know each other. `errors` is the one module that all may import.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import qbxstokes
+
+ROOT = Path(qbxstokes.__file__).parent
+PACKAGE = "qbxstokes"
+
+LEVELS = (
+    {"geometry", "flows", "reference"},
+    {"qbx"},
+    {"bie"},
+    {"motion"},
+    {"petsc", "io", "plots", "config"},
+    {"app"},
+    {"__main__", "__init__"},
+)
+LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
+MATHEMATICS = [name for names in LEVELS[:4] for name in sorted(names)]
+SHARED = "errors"
+
+# Libraries that only some packages may import, wherever in the file the import stands.
+HOMES = {
+    "petsc4py": {"petsc"},
+    "mpi4py": {"petsc", "app"},
+    "yaml": {"config"},
+    "h5py": {"io"},
+    "matplotlib": {"plots"},
+    "pydantic": {"config"},
+    "pandas": {"io"},
+    "xarray": {"io"},
+    "tqdm": {"app"},
+    "argparse": {"app", "__main__"},
+    "logging": {"petsc", "io", "plots", "config", "app", "__main__"},
+}
+# What verifies shares no code with what is verified.
+REFERENCE_LIBRARIES = {"numpy", "scipy"}
+# Slow to import, needed by few runs: imported inside the functions that use them.
+LAZY = ("numba", "scipy", "matplotlib", "tqdm", "pandas", "xarray")
+
+
+def unit(module: str) -> str:
+    """Package or top module of `qbxstokes` that a dotted module name belongs to."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+def module_name(path: Path) -> str:
+    """Dotted name of a source file below the package's folder."""
+    parts = (PACKAGE, *path.relative_to(ROOT).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(source: str, module: str, is_package: bool) -> Iterator[str]:
+    """Dotted names of all modules imported anywhere in a source text, relative ones resolved."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = module.split(".")
+                parts = parts[: len(parts) - node.level + is_package]
+                base = ".".join([*parts, base] if base else parts)
+            if base == PACKAGE:  # from qbxstokes import bie
+                yield from (f"{base}.{alias.name}" for alias in node.names)
+            else:
+                yield base
+
+
+def violations(source: str, module: str, is_package: bool = False) -> list[str]:
+    """Imports of one source text that the rules forbid, as readable lines."""
+    here = unit(module)
+    if here != SHARED and here not in LEVEL:
+        return [f"{module} has no level: give {here} one in {Path(__file__).name}"]
+    found = []
+    for name in imports(source, module, is_package):
+        top = name.partition(".")[0]
+        if top == PACKAGE:
+            there = unit(name)
+            if there in (here, SHARED):
+                continue
+            if here == SHARED:
+                found.append(f"{module} imports {name}: {SHARED} imports nothing of the package")
+            elif LEVEL.get(there, len(LEVELS)) >= LEVEL[here]:
+                found.append(f"{module} imports {name}: not below level {LEVEL[here]}")
+        elif top in HOMES and here not in HOMES[top]:
+            found.append(f"{module} imports {name}: only {sorted(HOMES[top])} may")
+        elif (
+            here == "reference"
+            and top not in REFERENCE_LIBRARIES
+            and top not in sys.stdlib_module_names
+        ):
+            found.append(f"{module} imports {name}: only {sorted(REFERENCE_LIBRARIES)} may be")
+    return found
+
+
+def run_python(code: str) -> str:
+    """Output of a fresh interpreter that has run the code."""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def loaded(statements: str, libraries: tuple[str, ...]) -> str:
+    """Those of the libraries that a fresh interpreter has loaded after the statements."""
+    return run_python(
+        f"import sys\n{statements}\nprint(*[m for m in {libraries!r} if m in sys.modules])"
+    )
+
+
+SOURCES = sorted(ROOT.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_go_down(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    assert violations(source, module_name(path), path.name == "__init__.py") == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("qbxstokes.bie.mobility", "from qbxstokes.motion import equations"),
+        ("qbxstokes.bie.mobility", "from ..motion.equations import rate"),
+        ("qbxstokes.bie.mobility", "from .. import motion"),
+        ("qbxstokes.bie.mobility", "from qbxstokes import motion"),
+        ("qbxstokes.bie.mobility", "import qbxstokes"),
+        ("qbxstokes.bie.mobility", "def f():\n    import qbxstokes.petsc.shell"),
+        ("qbxstokes.bie.mobility", "def f():\n    from petsc4py import PETSc"),
+        ("qbxstokes.flows.linear", "from qbxstokes.geometry import spheroid"),
+        ("qbxstokes.reference.jeffery", "import numba"),
+        ("qbxstokes.io.results", "from qbxstokes.config import schema"),
+        ("qbxstokes.errors", "from qbxstokes.geometry import spheroid"),
+        ("qbxstokes.helpers", ""),
+    ],
+)
+def test_forbidden_imports_are_seen(module: str, source: str) -> None:
+    assert len(violations(source, module)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("qbxstokes.motion.equations", "from qbxstokes.bie.functional import BodyModel"),
+        (
+            "qbxstokes.motion.equations",
+            "from ..geometry import rotation\nfrom . import drift",
+        ),
+        ("qbxstokes.flows.linear", "from qbxstokes.errors import FlowError"),
+        ("qbxstokes.reference.jeffery", "import math\nfrom scipy import special"),
+        ("qbxstokes.petsc.shell", "from petsc4py import PETSc\nfrom qbxstokes.qbx import operator"),
+        ("qbxstokes.__main__", "from qbxstokes.app import run"),
+    ],
+)
+def test_allowed_imports_pass(module: str, source: str) -> None:
+    assert violations(source, module) == []
+
+
+OUTER = ("petsc4py", "mpi4py", "h5py", "matplotlib", "pydantic", "tqdm", "pandas")
+
+
+@pytest.mark.parametrize("package", MATHEMATICS)
+def test_mathematics_loads_no_library_of_the_outer_layers(package: str) -> None:
+    assert loaded(f"import qbxstokes.{package}", (*OUTER, "yaml")) == ""
+
+
+def test_no_module_of_the_mathematics_loads_them_either() -> None:
+    modules = [module_name(path) for path in SOURCES if unit(module_name(path)) in MATHEMATICS]
+    statements = "\n".join(f"import {module}" for module in modules)
+    # yaml is left out: numba reads a configuration file of its own with it.
+    assert loaded(statements, OUTER) == ""
+
+
+@pytest.mark.parametrize(
+    "module", ["qbxstokes", "qbxstokes.config", "qbxstokes.io", "qbxstokes.app"]
+)
+def test_slow_libraries_wait_until_they_are_needed(module: str) -> None:
+    assert loaded(f"import {module}", LAZY) == ""
