@@ -1,0 +1,149 @@
+"""The polynomial flows that have a name; each constructor's arguments are its case-file keys.
+
+Directions are those of the space frame: the stream runs along e1 and varies along e2 (and e3).
+`position` and `rotation` beside the keys below move and turn any of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Array, number, tensor
+from qbxstokes.flows.polynomial import PolynomialFlow
+
+_EXTENSIONS = {
+    "uniaxial": (1.0, -0.5, -0.5),
+    "biaxial": (1.0, 1.0, -2.0),
+    "planar": (1.0, -1.0, 0.0),
+}
+
+
+class Uniform(PolynomialFlow):
+    """u = velocity."""
+
+    type_name = "uniform"
+
+    def __init__(self, velocity: ArrayLike = (1.0, 0.0, 0.0)) -> None:
+        value = tensor(velocity, "velocity", (3,))
+        super().__init__(value)
+        self._spec = {"type": self.type_name, "velocity": value.tolist()}
+
+
+class Linear(PolynomialFlow):
+    """u = A x with a traceless gradient A[i, j] = du_i/dx_j."""
+
+    type_name = "linear"
+
+    def __init__(self, gradient: ArrayLike) -> None:
+        """Raises FlowError if the gradient has a trace."""
+        matrix = tensor(gradient, "gradient", (3, 3))
+        trace = float(np.trace(matrix))
+        if abs(trace) > 1e-12 * float(np.abs(matrix).max()):
+            right = np.array2string(np.diag(matrix) - trace / 3.0, separator=", ")
+            raise FlowError(
+                f"flow: the gradient has trace {trace:.6g} and must have none (incompressible "
+                f"fluid); the nearest traceless one has the diagonal {right}"
+            )
+        super().__init__(gradient=matrix)
+        self._spec = {"type": self.type_name, "gradient": matrix.tolist()}
+
+
+class Shear(PolynomialFlow):
+    """Linear shear u = rate (x2, 0, 0)."""
+
+    type_name = "shear"
+
+    def __init__(self, rate: float = 1.0) -> None:
+        shear_rate = number(rate, "rate")
+        gradient = np.zeros((3, 3))
+        gradient[0, 1] = shear_rate
+        super().__init__(gradient=gradient)
+        self._spec = {"type": self.type_name, "rate": shear_rate}
+
+
+class Extension(PolynomialFlow):
+    """Irrotational extension of one of three kinds.
+
+    u = rate (x1, -x2/2, -x3/2) uniaxial, rate (x1, x2, -2 x3) biaxial, rate (x1, -x2, 0) planar.
+    """
+
+    type_name = "extension"
+
+    def __init__(self, rate: float = 1.0, kind: str = "uniaxial") -> None:
+        """Raises FlowError for a kind other than uniaxial, biaxial, planar."""
+        if kind not in _EXTENSIONS:
+            raise FlowError(
+                f"flow: kind of extension must be one of {', '.join(_EXTENSIONS)}, not {kind!r}"
+            )
+        strain_rate = number(rate, "rate")
+        super().__init__(gradient=strain_rate * np.diag(_EXTENSIONS[kind]))
+        self._spec = {"type": self.type_name, "rate": strain_rate, "kind": kind}
+
+
+class Rotation(PolynomialFlow):
+    """Rigid rotation u = angular_velocity x x."""
+
+    type_name = "rotation"
+
+    def __init__(self, angular_velocity: ArrayLike = (0.0, 0.0, 1.0)) -> None:
+        omega = tensor(angular_velocity, "angular_velocity", (3,))
+        a, b, c = omega
+        super().__init__(gradient=[[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+        self._spec = {"type": self.type_name, "angular_velocity": omega.tolist()}
+
+
+def _stream_hessian(curvature_2: float, curvature_3: float) -> Array:
+    """Second derivatives of (curvature_2 x2^2 + curvature_3 x3^2) e1."""
+    hessian = np.zeros((3, 3, 3))
+    hessian[0, 1, 1] = 2.0 * curvature_2
+    hessian[0, 2, 2] = 2.0 * curvature_3
+    return hessian
+
+
+class Paraboloid(PolynomialFlow):
+    """u = (K2 x2^2 + K3 x3^2) e1; one number `curvature` K means K2 = K3 = K.
+
+    K is nondimensional: in time units 1/(2 K eta0), where the shear rate at x2 = eta0 is one, it
+    is 1/(2 eta0).
+    """
+
+    type_name = "paraboloid"
+
+    def __init__(self, curvature: Any = 1.0) -> None:
+        """Raises FlowError unless curvature is one number or two."""
+        if np.ndim(curvature) == 0:
+            pair = [number(curvature, "curvature")] * 2
+        else:
+            pair = tensor(curvature, "curvature", (2,)).tolist()
+        super().__init__(hessian=_stream_hessian(*pair))
+        kept = pair[0] if pair[0] == pair[1] else pair
+        self._spec = {"type": self.type_name, "curvature": kept}
+
+
+class PlanePoiseuille(PolynomialFlow):
+    """Flow between plates at x2 = +-half_width: u = speed (1 - x2^2/half_width^2) e1."""
+
+    type_name = "plane_poiseuille"
+
+    def __init__(self, half_width: float, speed: float = 1.0) -> None:
+        width = number(half_width, "half_width", positive=True)
+        top = number(speed, "speed")
+        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(-top / width**2, 0.0))
+        self._spec = {"type": self.type_name, "half_width": width, "speed": top}
+
+
+class TubePoiseuille(PolynomialFlow):
+    """Flow in a tube along e1: u = speed (1 - (x2^2 + x3^2)/radius^2) e1."""
+
+    type_name = "tube_poiseuille"
+
+    def __init__(self, radius: float, speed: float = 1.0) -> None:
+        tube = number(radius, "radius", positive=True)
+        top = number(speed, "speed")
+        curvature = -top / tube**2
+        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(curvature, curvature))
+        self._spec = {"type": self.type_name, "radius": tube, "speed": top}

@@ -1,0 +1,320 @@
+"""Polynomial Stokes flows of degree <= 3, held as Taylor tensors about the space origin."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import product
+from math import factorial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Array, Flow, check_keys, curl, number, tensor
+
+Exponents = tuple[int, int, int]
+
+_FACTOR = re.compile(r"x([123])(?:\^([0-9]))?")
+_TENSOR_KEYS = ("value", "gradient", "hessian", "third")
+# Traces and antisymmetric parts below this, relative to the tensor, are rounding.
+_ROUNDING = 1e-12
+
+
+class PolynomialFlow(Flow):
+    """u_i(x) = value_i + A_ij x_j + B_ijk x_j x_k / 2 + C_ijkl x_j x_k x_l / 6.
+
+    value (3,), gradient_tensor A (3, 3), hessian B (3, 3, 3), third C (3, 3, 3, 3) are the
+    derivatives at the space origin, B and C symmetric in their derivative indices. The sums hold
+    only terms that are present, so that a coordinate on which the flow does not depend costs no
+    digits however large it grows (a body carried 1e6 lengths downstream).
+
+    The constructor takes tensors as they are; `from_spec` and `from_coefficients` also refuse
+    those that are not Stokesian.
+    """
+
+    type_name = "polynomial"
+
+    def __init__(
+        self,
+        value: ArrayLike | None = None,
+        gradient: ArrayLike | None = None,
+        hessian: ArrayLike | None = None,
+        third: ArrayLike | None = None,
+    ) -> None:
+        """Taylor tensors at the space origin; a missing one is zero. Raises FlowError."""
+        tensors = []
+        for rank, (name, given) in enumerate(
+            zip(_TENSOR_KEYS, (value, gradient, hessian, third), strict=True), start=1
+        ):
+            shape = (3,) * rank
+            array = np.zeros(shape) if given is None else tensor(given, name, shape)
+            for axis in range(2, rank):
+                asymmetry = np.abs(array - np.swapaxes(array, 1, axis)).max()
+                if asymmetry > _ROUNDING * np.abs(array).max():
+                    raise FlowError(
+                        f"flow: {name} must be symmetric in its derivative indices (all but "
+                        f"the first); it differs by {asymmetry:.3g}"
+                    )
+            array.flags.writeable = False
+            tensors.append(array)
+        self.value: Array = tensors[0]
+        self.gradient_tensor: Array = tensors[1]
+        self.hessian: Array = tensors[2]
+        self.third: Array = tensors[3]
+        self._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
+        coefficients = self.coefficients()
+        self._exponents = list(coefficients)
+        self._matrix = np.array(list(coefficients.values())).reshape(-1, 3)
+        self._spec: dict[str, Any] | None = None
+
+    # -- construction -----------------------------------------------------------------------
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
+        """Polynomial flow from `coefficients` per monomial or from its Taylor tensors.
+
+        {"coefficients": {"u1": {"x2^2": 1.0, "x3^2": 1.0}}} or any of {"value", "gradient",
+        "hessian", "third"} as nested lists of derivatives at the origin. Named flows, which
+        derive from this class, take their constructor's arguments instead.
+        Raises FlowError if the result is not a Stokes flow.
+        """
+        if cls is not PolynomialFlow:
+            return super().from_spec(spec)
+        check_keys(spec, ["coefficients", *_TENSOR_KEYS], cls.type_name)
+        if "coefficients" in spec:
+            if len(spec) > 1:
+                raise FlowError(
+                    "flow 'polynomial' takes either 'coefficients' or tensors "
+                    f"({', '.join(_TENSOR_KEYS)}), not both"
+                )
+            return cls.from_coefficients(spec["coefficients"])
+        if not spec:
+            raise FlowError(
+                "flow 'polynomial' needs 'coefficients', e.g. "
+                "{u1: {x2^2: 1.0, x3^2: 1.0}}, or tensors "
+                f"({', '.join(_TENSOR_KEYS)})"
+            )
+        flow = cls(**{str(key): value for key, value in spec.items()})
+        flow.require_stokesian()
+        return flow
+
+    @classmethod
+    def from_coefficients(cls, coefficients: Mapping[str, Any]) -> PolynomialFlow:
+        """Flow from {"u1": {"x2^2": 1.0, "x2*x3": 2.0}, ...}; raises FlowError.
+
+        Monomials are products of x1, x2, x3 with optional powers (x2^2, x1*x3, x1 x3^2) or 1, of
+        total degree at most 3; a component that is not named is zero.
+        """
+        if not isinstance(coefficients, Mapping):
+            raise FlowError(
+                "flow: coefficients must map u1, u2, u3 to monomials, e.g. "
+                f"{{u1: {{x2^2: 1.0}}}}, not {coefficients!r}"
+            )
+        check_keys(coefficients, ["u1", "u2", "u3"], "polynomial coefficients")
+        tensors = [np.zeros((3,) * rank) for rank in (1, 2, 3, 4)]
+        for name, terms in coefficients.items():
+            component = int(name[1]) - 1
+            if not isinstance(terms, Mapping):
+                raise FlowError(
+                    f"flow: coefficients of {name} must map monomials to numbers, e.g. "
+                    f"{{x2^2: 1.0}}, not {terms!r}"
+                )
+            for monomial, given in terms.items():
+                exponents = parse_monomial(str(monomial))
+                coefficient = number(given, f"coefficient of {monomial} in {name}")
+                # d^alpha of c x^alpha is c alpha!, for every order of the derivative indices.
+                derivative = coefficient * float(np.prod([factorial(n) for n in exponents]))
+                degree = sum(exponents)
+                for index in product(range(3), repeat=degree):
+                    if all(index.count(j) == exponents[j] for j in range(3)):
+                        tensors[degree][(component, *index)] += derivative
+        flow = cls(*tensors)
+        flow.require_stokesian()
+        return flow
+
+    def coefficients(self) -> dict[Exponents, Array]:
+        """Monomial exponents -> coefficients (3,) of the three components, zeros left out."""
+        result: dict[Exponents, Array] = {}
+        tensors = (self.value, self.gradient_tensor, self.hessian, self.third)
+        for degree, derivatives in enumerate(tensors):
+            for index in product(range(3), repeat=degree):
+                if list(index) != sorted(index):
+                    continue
+                exponents = (index.count(0), index.count(1), index.count(2))
+                alpha = np.prod([factorial(n) for n in exponents])
+                coefficient = np.moveaxis(derivatives, 0, -1)[index] / alpha
+                if coefficient.any():
+                    result[exponents] = coefficient
+        return result
+
+    def require_stokesian(self) -> None:
+        """Raise FlowError unless div u = 0 and curl Lap u = 0 to rounding, term by term."""
+        for derivatives, rank in ((self.gradient_tensor, 2), (self.hessian, 3), (self.third, 4)):
+            trace = np.einsum("ii...->...", derivatives)
+            defect = float(np.abs(trace).max())
+            if defect > _ROUNDING * np.abs(derivatives).max():
+                worst = np.unravel_index(np.abs(trace).argmax(), trace.shape) if rank > 2 else ()
+                monomial = "*".join(f"x{j + 1}" for j in worst) or "1"
+                raise FlowError(
+                    f"flow is not solenoidal: the terms of degree {rank - 1} give div u the "
+                    f"term {monomial} (residual {defect:.6g}); du1/dx1 + du2/dx2 + du3/dx3 must "
+                    "vanish for every monomial"
+                )
+        twist = curl(np.einsum("ijkk->ij", self.third))
+        defect = float(np.abs(twist).max())
+        if defect > _ROUNDING * np.abs(self.third).max():
+            raise FlowError(
+                "flow is not Stokesian: the curl of the Laplacian of its cubic terms is "
+                f"{twist.tolist()} and must vanish, so that a pressure exists"
+            )
+
+    # -- evaluation -------------------------------------------------------------------------
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3): one product of the monomials present with their coefficients."""
+        points = np.asarray(x, dtype=float)
+        if not self._exponents:
+            return np.zeros(points.shape)
+        monomials = np.empty((*points.shape[:-1], len(self._exponents)))
+        for column, exponents in enumerate(self._exponents):
+            out = monomials[..., column]
+            first = True
+            for axis, power in enumerate(exponents):
+                for _ in range(power):
+                    if first:
+                        out[...] = points[..., axis]
+                        first = False
+                    else:
+                        out *= points[..., axis]
+            if first:
+                out[...] = 1.0
+        result: Array = monomials @ self._matrix
+        return result
+
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """(u, A, B, C) at the points: (..., 3), (..., 3, 3), (..., 3, 3, 3), (..., 3, 3, 3, 3).
+
+        The highest derivatives are constant; constant ones are read-only broadcast views.
+        """
+        points = np.asarray(x, dtype=float)
+        lead = points.shape[:-1]
+        third = np.broadcast_to(self.third, (*lead, 3, 3, 3, 3))
+        hessian = np.broadcast_to(self.hessian, (*lead, 3, 3, 3))
+        gradient = np.broadcast_to(self.gradient_tensor, (*lead, 3, 3))
+        if self._degree >= 2:
+            gradient = gradient + (points @ self.hessian.reshape(9, 3).T).reshape(*lead, 3, 3)
+        if self._degree >= 3:
+            slope = (points @ self.third.reshape(27, 3).T).reshape(*lead, 3, 3, 3)
+            hessian = hessian + slope
+            gradient = gradient + 0.5 * np.matmul(slope, points[..., None, :, None])[..., 0]
+        return self.velocity(points), gradient, hessian, third
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3)."""
+        return self.derivatives(x)[1]
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Laplacian B_ikk + C_ijkk x_j, shape (..., 3)."""
+        points = np.asarray(x, dtype=float)
+        slope = np.einsum("ijkk->ij", self.third)
+        result: Array = np.einsum("ikk->i", self.hessian) + points @ slope.T
+        return result
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Pressure B_ikk x_i + C_ijkk x_i x_j / 2, zero at the space origin, shape (...)."""
+        points = np.asarray(x, dtype=float)
+        slope = np.einsum("ijkk->ij", self.third)
+        mean = np.einsum("ikk->i", self.hessian) + 0.5 * points @ slope.T
+        result: Array = np.sum(points * mean, axis=-1)
+        return result
+
+    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Curl of the Laplacian, a constant of the cubic terms, shape (..., 3)."""
+        constant = curl(np.einsum("ijkk->ij", self.third))
+        return np.broadcast_to(constant, np.shape(x)).copy()
+
+    # -- structure --------------------------------------------------------------------------
+
+    @property
+    def polynomial(self) -> PolynomialFlow:
+        """The flow itself."""
+        return self
+
+    @property
+    def degree(self) -> int:
+        """Polynomial degree, 0 to 3 (terms that are exactly zero do not count)."""
+        return self._degree
+
+    def spec(self) -> dict[str, Any]:
+        """Specification; without a name of its own, the tensors of the flow."""
+        if self._spec is not None:
+            return dict(self._spec)
+        tensors = (self.value, self.gradient_tensor, self.hessian, self.third)
+        kept = {
+            key: array.tolist()
+            for rank, (key, array) in enumerate(zip(_TENSOR_KEYS, tensors, strict=True))
+            if rank == 0 or array.any()
+        }
+        return {"type": "polynomial", **kept}
+
+    def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
+        """The flow moved, u'(x) = u(x - displacement): its tensors taken at -displacement."""
+        origin = -tensor(displacement, "position", (3,))
+        return PolynomialFlow(*self.derivatives(origin))
+
+    def rotated(self, rotation: ArrayLike) -> PolynomialFlow:
+        """The flow turned about the space origin, u'(x) = R u(R^T x): tensors turned by R."""
+        turn = tensor(rotation, "rotation", (3, 3))
+        hessian = np.einsum("ai,bj,ck,ijk->abc", turn, turn, turn, self.hessian, optimize=True)
+        third = np.einsum(
+            "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
+        )
+        return PolynomialFlow(
+            turn @ self.value,
+            turn @ self.gradient_tensor @ turn.T,
+            hessian,
+            third,
+        )
+
+    def scaled(self, factor: float) -> PolynomialFlow:
+        """The flow times a number."""
+        s = number(factor, "factor")
+        return PolynomialFlow(
+            s * self.value, s * self.gradient_tensor, s * self.hessian, s * self.third
+        )
+
+    def plus(self, other: PolynomialFlow) -> PolynomialFlow:
+        """Sum of two polynomial flows as one."""
+        return PolynomialFlow(
+            self.value + other.value,
+            self.gradient_tensor + other.gradient_tensor,
+            self.hessian + other.hessian,
+            self.third + other.third,
+        )
+
+    def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
+        """The same flow, remembering the specification it was built from."""
+        flow = PolynomialFlow(self.value, self.gradient_tensor, self.hessian, self.third)
+        flow._spec = dict(spec)
+        return flow
+
+
+def parse_monomial(text: str) -> Exponents:
+    """Exponents of x1, x2, x3 in a monomial such as x2^2, x1*x3 or 1; raises FlowError."""
+    wrong = FlowError(
+        f"flow: {text!r} is not a monomial of degree <= 3 in x1, x2, x3; write e.g. 1, x2, "
+        "x2^2, x1*x3 or x1*x2^2"
+    )
+    exponents = [0, 0, 0]
+    if text.strip() != "1":
+        # A power written ** would be torn apart by splitting at products.
+        for factor in re.split(r"[*\s]+", text.replace("**", "^").strip()):
+            match = _FACTOR.fullmatch(factor)
+            if match is None:
+                raise wrong
+            exponents[int(match[1]) - 1] += int(match[2] or 1)
+    if sum(exponents) > 3:
+        raise wrong
+    return exponents[0], exponents[1], exponents[2]
