@@ -18,7 +18,14 @@ class CaseError(QbxStokesError):
 
 
 class FlowError(CaseError):
-    """The background flow is not Stokesian, or is singular where the body is."""
+    """The background flow is ill specified, not Stokesian, or singular where the body is.
+
+    `key` leads from the flow's specification to the entry at fault, where one is to blame.
+    """
+
+    def __init__(self, message: str, key: tuple[str | int, ...] = ()) -> None:
+        super().__init__(message)
+        self.key = key
 
 
 class ConvergenceError(QbxStokesError):

@@ -1,0 +1,1 @@
+"""Case files: the schema, one module per section, and the loader that names file, line and key."""

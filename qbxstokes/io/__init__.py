@@ -1,0 +1,1 @@
+"""Files: results in HDF5, and what other programs open."""

@@ -1,0 +1,22 @@
+"""Section `compare`: what the result is held against."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from qbxstokes.config.base import Number, Section
+
+
+class Compare(Section):
+    """Comparison with a closed form or a semi-analytic reference at the end of the run."""
+
+    reference: Literal["auto", "none"] = Field(
+        default="auto", description="compare with a closed form where one is known, or not at all"
+    )
+    tolerance: Annotated[Number, Field(gt=0)] | None = Field(
+        default=None,
+        description="largest error allowed, above it the run fails (exit 1); unset: no limit",
+        examples=[1e-8],
+    )

@@ -1,0 +1,146 @@
+"""The schema told in three ways: Markdown table, JSON Schema, commented starter case."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from qbxstokes.config.load import section_of
+from qbxstokes.config.schema import Case
+
+SCHEMA_FILE = "case.schema.json"
+
+
+def keys(model: type[BaseModel] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key of the case with its field, sections before their keys."""
+    for name, field in model.model_fields.items():
+        yield prefix + name, field
+        inner = section_of(field.annotation)
+        if inner:
+            yield from keys(inner, f"{prefix}{name}.")
+
+
+def default_text(field: FieldInfo) -> str:
+    """The default as written in a case; 'required' where there is none."""
+    if field.default is PydanticUndefined:
+        return "required"
+    value = field.default
+    if value is None or value in ("", {}) or isinstance(value, BaseModel):
+        return ""
+    return json.dumps(value) if not isinstance(value, str) else value
+
+
+def markdown_table() -> str:
+    """All keys as a Markdown table: key, default, meaning; then the flows with their keys."""
+    rows = ["| key | default | meaning |", "|---|---|---|"]
+    for name, field in keys():
+        default = default_text(field)
+        rows.append(
+            f"| `{name}` | {f'`{default}`' if default not in ('', 'required') else default} "
+            f"| {_choices(field)}{field.description} |"
+        )
+    rows += ["", "| `flow.type` | its keys, with defaults | flow |", "|---|---|---|"]
+    for name, parameters, summary in flows():
+        listed = ", ".join(
+            f"`{key}`" if default is inspect.Parameter.empty else f"`{key}: {json.dumps(default)}`"
+            for key, default in parameters.items()
+        )
+        rows.append(f"| `{name}` | {listed} | {summary} |")
+    return "\n".join(rows)
+
+
+def flows() -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Each flow's name, its keys with their defaults, and its first line of description."""
+    from qbxstokes.flows import REGISTRY
+
+    for name, flow in REGISTRY.items():
+        parameters = {
+            key: parameter.default for key, parameter in inspect.signature(flow).parameters.items()
+        }
+        yield name, parameters, (inspect.getdoc(flow) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of a case file, for editors that complete and check YAML."""
+    schema = Case.model_json_schema()
+    flow = schema["$defs"]["FlowSection"]
+    flow["properties"]["type"]["enum"] = [name for name, _, _ in flows()]
+    flow["properties"]["position"] = {"description": "moves the whole flow to this point"}
+    flow["properties"]["rotation"] = {
+        "description": "turns the whole flow: quaternion, {axis, angle} or matrix"
+    }
+    for name, parameters, _ in flows():
+        for key in parameters:
+            known = flow["properties"].setdefault(key, {"description": "key of"})
+            known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "qbxstokes case",
+    }
+
+
+_STARTERS: dict[str, dict[str, Any]] = {
+    "motion": {
+        "task": "motion",
+        "title": "A spheroid in linear shear",
+        "body": {"aspect_ratio": 0.5, "stokes_number": 0.0},
+        "flow": {"type": "shear", "rate": 1.0},
+        "start": {"orientation": {"axis": [1.0, 1.0, 1.0]}},
+        "time": {"periods": 3, "samples": 301},
+    }
+}
+
+
+def starter(task: str = "motion") -> str:
+    """A case file that runs as it is, with every key: the optional ones commented out."""
+    values = _STARTERS[task]
+    lines = [
+        "# Every key with its meaning; commented ones show their default or an example.",
+        "# Run it with: python -m qbxstokes FILE",
+    ]
+    for name, field in Case.model_fields.items():
+        lines += ["", *_starter_lines(name, field, values, 0)]
+    return "\n".join(lines) + "\n"
+
+
+def _starter_lines(name: str, field: FieldInfo, values: dict[str, Any], depth: int) -> list[str]:
+    pad = "  " * depth
+    inner = section_of(field.annotation)
+    given = name in values
+    comment = f"  # {_choices(field)}{field.description}"
+    if inner:
+        mark = "" if given else "# "
+        lines = [f"{pad}{mark}{name}:{comment}"]
+        held = values.get(name, {})
+        for key, subfield in inner.model_fields.items():
+            nested = _starter_lines(key, subfield, held, depth + 1)
+            if not given:  # one mark in front of the whole section, none within it
+                nested = [f"{pad}# {line[len(pad) :].replace('# ', '', 1)}" for line in nested]
+            lines += nested
+        known = set(inner.model_fields)
+        lines += [f"{pad}  {key}: {_yaml(held[key])}" for key in held if key not in known]
+        return lines
+    if given:
+        return [f"{pad}{name}: {_yaml(values[name])}{comment}"]
+    example = field.examples[0] if field.examples else None
+    shown = default_text(field) if field.default not in (None, PydanticUndefined) else ""
+    return [f"{pad}# {name}: {shown or (_yaml(example) if example is not None else '')}{comment}"]
+
+
+def _yaml(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _choices(field: FieldInfo) -> str:
+    """'a | b: ' for a choice of words, else ''."""
+    words = getattr(field.annotation, "__args__", ())
+    if words and all(isinstance(word, str) for word in words) and len(words) > 1:
+        return f"{' / '.join(words)}: "
+    return ""

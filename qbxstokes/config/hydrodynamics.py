@@ -1,0 +1,77 @@
+"""Section `hydrodynamics`: a tolerance, or every number of the discretisation."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from qbxstokes.config.base import Boolean, Integer, Number, Section, problem
+
+UNIFORM_KEYS = ("r_over_h", "upsampling")
+GRADED_KEYS = ("radius_factor", "panel_order", "panel_ratio")
+
+
+class Hydrodynamics(Section):
+    """Accuracy and scheme of the boundary integral equation."""
+
+    tolerance: Annotated[Number, Field(gt=0, le=0.1)] = Field(
+        default=1e-10, description="relative error of velocities, force and torque to aim at"
+    )
+    scheme: Literal["graded", "uniform"] = Field(
+        default="graded",
+        description="quadrature: panels graded to each centre, or uniform upsampling",
+    )
+    n_theta: Annotated[Integer, Field(ge=4, le=4096)] | None = Field(
+        default=None, description="Gauss-Legendre nodes in the polar angle; unset: from tolerance"
+    )
+    n_phi: Annotated[Integer, Field(ge=4, le=8192)] | None = Field(
+        default=None, description="trapezoid nodes in the azimuth; unset: from tolerance"
+    )
+    expansion_order: Annotated[Integer, Field(ge=0, le=200)] | None = Field(
+        default=None, description="order p of the expansions; unset: from tolerance"
+    )
+    radius_factor: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="expansion radius over the least local radius (graded); unset: from tolerance",
+    )
+    panel_order: Annotated[Integer, Field(ge=2, le=64)] | None = Field(
+        default=None, description="Gauss nodes per side of a panel (graded); unset: from tolerance"
+    )
+    panel_ratio: Annotated[Number, Field(gt=0, le=4)] | None = Field(
+        default=None, description="panel length over distance to the centre (graded), at most"
+    )
+    r_over_h: Annotated[Number, Field(gt=0)] | None = Field(
+        default=None, description="radius over spacing: r = 2 pi (r/h) / n_theta (uniform)"
+    )
+    upsampling: Annotated[Integer, Field(ge=1, le=200)] | None = Field(
+        default=None, description="upsampling factor of both directions (uniform)"
+    )
+    expansion: Literal["average", "inner", "outer"] = Field(
+        default="average", description="side of the expansions: mean of both, or one and the jump"
+    )
+    completion: Literal["surface", "point"] = Field(
+        default="surface",
+        description="flow that carries force and torque: spread, or at the centre",
+    )
+    solve: Literal["functional", "every_step"] = Field(
+        default="functional",
+        description="free motion from functionals formed once, or by a solve at every step",
+    )
+    gmres_tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="relative residual of GMRES; unset: from tolerance"
+    )
+    preconditioner: Boolean = Field(default=True, description="mode-wise preconditioner for GMRES")
+
+    @model_validator(mode="after")
+    def _keys_fit_scheme(self) -> Hydrodynamics:
+        foreign = UNIFORM_KEYS if self.scheme == "graded" else GRADED_KEYS
+        other = "uniform" if self.scheme == "graded" else "graded"
+        for name in foreign:
+            if getattr(self, name) is not None:
+                raise problem(
+                    f"has no meaning for scheme: {self.scheme}",
+                    f"leave it out or set scheme: {other}",
+                    (name,),
+                )
+        return self

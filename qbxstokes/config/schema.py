@@ -1,0 +1,100 @@
+"""The schema of a case: which sections there are, and what must agree between them.
+
+Each section lives in its own module and owns its keys with their defaults and descriptions. A new
+section is one new module and one field of `Case`; a new task is one word in `Task`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from qbxstokes.config.base import Section, Text, describe, problem
+from qbxstokes.config.body import Body
+from qbxstokes.config.compare import Compare
+from qbxstokes.config.flow import FlowSection
+from qbxstokes.config.hydrodynamics import Hydrodynamics
+from qbxstokes.config.output import Output
+from qbxstokes.config.start import Start
+from qbxstokes.config.time import Time
+
+Task = Literal["motion"]
+
+PetscValue = str | int | float | bool | None
+
+
+def _petsc_options(value: Any) -> Any:
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise problem(f"is {describe(value)}", "options as keys, such as `ts_type: rk`")
+    for name, option in value.items():
+        if isinstance(option, (dict, list)):
+            raise problem(f"is {describe(option)}", "one value per option", (name,))
+        if not name.lstrip("-") or any(c.isspace() or not c.isprintable() for c in name):
+            raise problem("is not an option's name", "a name such as ts_monitor", (name,))
+        if isinstance(option, str) and not option.isprintable():
+            raise problem("holds control characters", "printable text", (name,))
+    return {name.lstrip("-"): option for name, option in value.items()}
+
+
+class Case(Section):
+    """One case: what to compute, for which body in which flow, and how."""
+
+    task: Task = Field(default="motion", description="what to compute")
+    title: Text = Field(default="", description="a line that names the case in summaries")
+    body: Body = Field(description="the spheroid")
+    flow: FlowSection = Field(description="the background flow")
+    start: Start = Field(default=Start(), description="state at time 0")
+    time: Time | None = Field(default=None, description="duration, stored instants, tolerance")
+    hydrodynamics: Hydrodynamics = Field(
+        default=Hydrodynamics(), description="accuracy and scheme of the integral equation"
+    )
+    petsc: Annotated[
+        dict[str, PetscValue],
+        BeforeValidator(_petsc_options, json_schema_input_type=dict[str, PetscValue]),
+    ] = Field(
+        default={},
+        description="PETSc options without the leading dash; the command line overrides them",
+        examples=[{"ts_monitor": None}],
+    )
+    output: Output = Field(default=Output(), description="the result file")
+    compare: Compare = Field(default=Compare(), description="what to hold the result against")
+
+    @model_validator(mode="after")
+    def _sections_agree(self) -> Case:
+        if self.task == "motion" and self.time is None:
+            raise problem("is missing", "task: motion needs it, with end, periods or at", ("time",))
+        if self.body.stokes_number == 0:
+            for name in ("velocity", "angular_velocity"):
+                if getattr(self.start, name) != "with_flow":
+                    raise problem(
+                        "has no meaning for a massless body (stokes_number: 0)",
+                        "leave it out, or give the body a stokes_number > 0",
+                        ("start", name),
+                    )
+        self._check_uniform_radius()
+        return self
+
+    def _check_uniform_radius(self) -> None:
+        """Refuse a global expansion radius that leaves the ball touching the surface in one point.
+
+        r = 2 pi (r/h) / n_theta must stay below the least of k q, q / k and q^3 / k over the
+        surface: min(k^2, 1) min(1, 1/k) = k^2 for k <= 1 and 1/k for k > 1.
+        """
+        scheme = self.hydrodynamics
+        if scheme.scheme != "uniform" or scheme.r_over_h is None or scheme.n_theta is None:
+            return
+        k = self.body.aspect_ratio
+        limit = k * k if k <= 1 else 1 / k
+        radius = 2 * math.pi * scheme.r_over_h / scheme.n_theta
+        if radius >= limit:
+            formula = "k^2" if k <= 1 else "1/k"
+            raise problem(
+                f"r = 2 pi r_over_h / n_theta = {radius:.4g} leaves the admissible ball, "
+                f"r < {formula} = {limit:.4g}",
+                f"r_over_h below {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",
+                ("hydrodynamics", "r_over_h"),
+            )

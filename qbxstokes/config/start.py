@@ -1,0 +1,96 @@
+"""Section `start`: where the body is, how it lies and how it moves at time 0."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from qbxstokes.config.base import (
+    Angle,
+    Quadruple,
+    Section,
+    Vector,
+    describe,
+    entries,
+    problem,
+    to_number,
+)
+
+
+class EulerAngles(Section):
+    """Orientation R = R3(phi) R1(theta) R3(psi)."""
+
+    phi: Angle = Field(default=0.0, description="phi, radians or '90 deg'", examples=[0.0])
+    theta: Angle = Field(
+        default=0.0, description="theta, angle from e3 to D3, radians or '90 deg'", examples=[1.2]
+    )
+    psi: Angle = Field(default=0.0, description="psi, radians or '90 deg'", examples=[0.0])
+
+
+class Orientation(Section):
+    """Orientation in exactly one of three forms."""
+
+    quaternion: Quadruple | None = Field(
+        default=None,
+        description="[q0, q1, q2, q3], scalar first, body to space; normalised",
+        examples=[[1.0, 0.0, 0.0, 0.0]],
+    )
+    euler: EulerAngles | None = Field(default=None, description="Euler angles phi, theta, psi")
+    axis: Vector | None = Field(
+        default=None,
+        description="direction of the symmetry axis D3 in space; normalised",
+        examples=[[0.0, 0.6, 0.8]],
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Orientation:
+        given = [
+            name for name in ("quaternion", "euler", "axis") if getattr(self, name) is not None
+        ]
+        if len(given) != 1:
+            wrong = f"gives {' and '.join(given)}" if given else "gives no orientation"
+            raise problem(wrong, "give exactly one of quaternion, euler, axis")
+        for name in ("quaternion", "axis"):
+            value = getattr(self, name)
+            if value is not None and not any(value):
+                raise problem("is zero and has no direction", "any non-zero value", (name,))
+        return self
+
+
+def _velocity(value: Any) -> Any:
+    if value == "with_flow":
+        return value
+    if isinstance(value, (list, tuple)):
+        return tuple(to_number(entry) for entry in entries(3, "[v1, v2, v3]")(value))
+    raise problem(f"is {describe(value)}", "write with_flow or three numbers [v1, v2, v3]")
+
+
+Velocity = Annotated[
+    Literal["with_flow"] | tuple[float, float, float],
+    BeforeValidator(_velocity, json_schema_input_type=Literal["with_flow"] | list[float | str]),
+]
+
+
+class Start(Section):
+    """Position, orientation and velocities at time 0."""
+
+    position: Vector = Field(
+        default=(0.0, 0.0, 0.0),
+        description="centre of the body, in lengths c",
+        examples=[[0.0, 0.0, 0.0]],
+    )
+    orientation: Orientation = Field(
+        default=Orientation(axis=(0.0, 0.0, 1.0)),
+        description="orientation as quaternion, euler or axis",
+    )
+    velocity: Velocity = Field(
+        default="with_flow",
+        description="[v1, v2, v3] in space, or with_flow: force-free (needs stokes_number > 0)",
+        examples=["with_flow"],
+    )
+    angular_velocity: Velocity = Field(
+        default="with_flow",
+        description="[w1, w2, w3] in space, or with_flow: torque-free (needs stokes_number > 0)",
+        examples=["with_flow"],
+    )

@@ -1,0 +1,393 @@
+"""Result files: one HDF5 file per run, written atomically, read back as NumPy arrays.
+
+Layout of a motion (format_version 1): datasets `time` (T) and the quantities of `MOTION_FIELDS`,
+each (T, ...) with attributes `units`, `description`, `frame` and `time` as its dimension scale;
+groups `provenance` (how it was made) and `summary` (what came out); attributes `format`,
+`format_version`, `task`, `conventions` at the root.
+
+A file is written under a temporary name beside its target and moved there when it is complete:
+a file that carries the final name is a whole one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.errors import CaseError, ResultFileError
+
+if TYPE_CHECKING:
+    import h5py
+    import pandas
+    import xarray
+
+FORMAT = "qbxstokes"
+FORMAT_VERSION = 1
+CONVENTIONS = (
+    "Nondimensional: length c (polar radius), time tau, speed c/tau, force mu c^2/tau, torque "
+    "mu c^3/tau. Orientation: unit quaternion (q0, q1, q2, q3), scalar first, R(q) maps body to "
+    "space; axis D3 = R e3; R = R3(phi) R1(theta) R3(psi). Vectors are in the space frame; force "
+    "and torque act on the body."
+)
+_ATTRIBUTE_LIMIT = 16_384  # HDF5 refuses attributes above 64 KiB; long texts become datasets
+
+
+@dataclass(frozen=True)
+class Field:
+    """A quantity in a result file: shape per instant, units, frame and meaning."""
+
+    shape: tuple[int, ...]
+    units: str
+    frame: str
+    description: str
+    components: tuple[str, ...] = ()
+
+
+_XYZ = ("1", "2", "3")
+TIME = Field((), "tau", "", "instants of the samples")
+MOTION_FIELDS: dict[str, Field] = {
+    "position": Field((3,), "c", "space", "centre of the body", _XYZ),
+    "orientation": Field(
+        (4,), "1", "body to space", "unit quaternion, scalar first", ("0", "1", "2", "3")
+    ),
+    "axis": Field((3,), "1", "space", "symmetry axis D3", _XYZ),
+    "velocity": Field((3,), "c/tau", "space", "velocity of the centre", _XYZ),
+    "angular_velocity": Field((3,), "1/tau", "space", "angular velocity", _XYZ),
+    "force": Field((3,), "mu c^2/tau", "space", "hydrodynamic force on the body", _XYZ),
+    "torque": Field((3,), "mu c^3/tau", "space", "hydrodynamic torque on the body", _XYZ),
+    "euler_angles": Field(
+        (3,), "rad", "body to space", "phi, theta, psi of R3 R1 R3", ("phi", "theta", "psi")
+    ),
+    "orbit_constant": Field(
+        (), "1", "", "Jeffery's orbit constant in the shear (x2, 0, 0): infinite when tumbling"
+    ),
+}
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """result.h5, result-1.h5, result-2.h5, ..."""
+    yield path
+    for number in range(1, 1_000_000):
+        yield path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def free_name(path: Path) -> Path:
+    """`path` where nothing is there yet, else the first numbered name that is free."""
+    return next(name for name in numbered(path) if not os.path.lexists(name))
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a target that cannot be written, before anything is computed; raises CaseError."""
+    folder = path.parent
+    if path.is_dir():
+        raise CaseError(f"{path}: is a directory; name a result file such as {path / 'result.h5'}")
+    if not folder.is_dir():
+        raise CaseError(f"{path}: there is no directory {folder}; create it or change output.file")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CaseError(f"{path}: no permission to write in {folder.resolve()}; choose another")
+
+
+class ResultWriter:
+    """A result file in the making; `finish` gives it its name, leaving without it removes it.
+
+    >>> with ResultWriter(Path("result.h5"), "motion") as writer:  # doctest: +SKIP
+    ...     writer.append({"time": times, "position": positions})
+    ...     writer.finish({"steps": 120})
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        task: str,
+        provenance: Mapping[str, Any] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        """Create the temporary file beside `path`; raises CaseError where that is impossible."""
+        import h5py
+
+        check_writable(path)
+        self.path = path
+        self.overwrite = overwrite
+        self.temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self.file: h5py.File = h5py.File(self.temporary, "w", libver=("v108", "v110"))
+        except OSError as error:
+            raise CaseError(f"{path}: cannot be created ({error})") from None
+        self.file.attrs.update(
+            format=FORMAT, format_version=FORMAT_VERSION, task=task, conventions=CONVENTIONS
+        )
+        write_tree(self.file.create_group("provenance"), provenance or {})
+
+    def append(
+        self,
+        block: Mapping[str, ArrayLike],
+        fields: Mapping[str, Field] = MOTION_FIELDS,
+    ) -> None:
+        """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time."""
+        times = np.asarray(block["time"], dtype=float)
+        scale = self._extended("time", times, TIME)
+        if "CLASS" not in scale.attrs:
+            scale.make_scale("time")
+        for name, values in block.items():
+            if name != "time":
+                data = self._extended(name, np.asarray(values, dtype=float), fields[name])
+                if not len(data.dims[0]):
+                    data.dims[0].attach_scale(scale)
+
+    def _extended(self, name: str, values: NDArray[np.float64], field: Field) -> h5py.Dataset:
+        """The dataset `name` with `values` after what it held."""
+        if values.shape[1:] != field.shape:
+            raise ValueError(f"{name}: samples of shape {values.shape[1:]}, not {field.shape}")
+        if name not in self.file:
+            chunk = max(1, min(len(values), 65_536 // (8 * max(1, int(np.prod(field.shape))))))
+            data = self.file.create_dataset(
+                name,
+                data=values,
+                maxshape=(None, *field.shape),
+                chunks=(chunk, *field.shape),
+                fletcher32=True,  # damage is noticed when reading
+                track_times=False,
+            )
+            data.attrs.update(units=field.units, description=field.description, frame=field.frame)
+            if field.components:
+                data.attrs["components"] = list(field.components)
+            return data
+        data = self.file[name]
+        held = len(data)
+        data.resize(held + len(values), axis=0)
+        data[held:] = values
+        return data
+
+    def flush(self) -> None:
+        """Bring what was appended to the disk."""
+        self.file.flush()
+
+    def finish(self, summary: Mapping[str, Any] | None = None) -> Path:
+        """Write the summary, close, and give the file its name; returns the name it got.
+
+        An existing file is replaced only when `overwrite` was asked for; otherwise the next free
+        numbered name is taken, without a gap in which another process could lose its file.
+        """
+        write_tree(self.file.require_group("summary"), summary or {})
+        self.file.close()
+        with open(self.temporary, "rb") as stream:
+            os.fsync(stream.fileno())
+        if self.overwrite:
+            os.replace(self.temporary, self.path)
+            return self.path
+        for name in numbered(self.path):
+            try:
+                os.link(self.temporary, name)
+            except FileExistsError:
+                continue
+            except OSError:  # a file system without hard links
+                if os.path.lexists(name):
+                    continue
+                os.replace(self.temporary, name)
+                return name
+            self.temporary.unlink()
+            return name
+        raise CaseError(f"{self.path}: every numbered name is taken; use --overwrite")
+
+    def __enter__(self) -> ResultWriter:
+        """The writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Remove the temporary file unless `finish` moved it."""
+        if self.file:
+            self.file.close()
+        self.temporary.unlink(missing_ok=True)
+
+
+def write_tree(group: h5py.Group, tree: Mapping[str, Any]) -> None:
+    """Store nested dictionaries of numbers, texts and arrays; None and '' stay distinguishable."""
+    import h5py
+
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            write_tree(group.require_group(name), value)
+        elif value is None:
+            group.attrs[name] = h5py.Empty("f8")
+        elif isinstance(value, (str, bool, int, float, np.generic)) and (
+            not isinstance(value, str) or len(value) < _ATTRIBUTE_LIMIT // 4
+        ):
+            group.attrs[name] = value
+        else:
+            group.create_dataset(name, data=value, track_times=False)
+
+
+def read_tree(group: h5py.Group) -> dict[str, Any]:
+    """The inverse of `write_tree`."""
+    import h5py
+
+    tree: dict[str, Any] = {}
+    for name, value in group.attrs.items():
+        if isinstance(value, h5py.Empty):
+            tree[name] = None
+        else:
+            tree[name] = value.item() if isinstance(value, np.generic) else value
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            tree[name] = read_tree(item)
+        else:
+            value = item[()]
+            tree[name] = value.decode() if isinstance(value, bytes) else value
+    return tree
+
+
+class Result:
+    """A result read into memory: each dataset is an attribute holding a NumPy array.
+
+    `provenance` and `summary` are nested dictionaries; `attributes` maps each dataset's name to
+    its units, description and frame; `names` lists the datasets.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        header: dict[str, Any],
+        arrays: dict[str, NDArray[Any]],
+        attributes: dict[str, dict[str, Any]],
+        groups: dict[str, dict[str, Any]],
+    ) -> None:
+        """Collect what `load` has read."""
+        self.path = path
+        self.task: str = header["task"]
+        self.format_version = int(header["format_version"])
+        self.conventions: str = header.get("conventions", "")
+        self.provenance: dict[str, Any] = groups.pop("provenance", {})
+        self.summary: dict[str, Any] = groups.pop("summary", {})
+        self.groups = groups
+        self.arrays = arrays
+        self.attributes = attributes
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the datasets."""
+        return list(self.arrays)
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """The dataset `name`."""
+        arrays = self.__dict__.get("arrays", {})
+        if name in arrays:
+            return arrays[name]
+        raise AttributeError(f"no dataset {name}; there are {', '.join(arrays)}")
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """The dataset `name`."""
+        return self.arrays[name]
+
+    def __dir__(self) -> list[str]:
+        """Attributes, with the datasets among them."""
+        return [*super().__dir__(), *self.arrays]
+
+    def __repr__(self) -> str:
+        """Task, file and the shape of each dataset."""
+        shapes = ", ".join(f"{name}{list(data.shape)}" for name, data in self.arrays.items())
+        return f"<{self.task} result {self.path}: {shapes}>"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A table with one row per instant, columns such as position_1; needs pandas."""
+        import pandas as pd
+
+        columns: dict[str, NDArray[Any]] = {}
+        for name, data in self.arrays.items():
+            if name == "time" or len(data) != len(self.time):
+                continue
+            if data.ndim == 1:
+                columns[name] = data
+            else:
+                for label, column in zip(self._labels(name), data.T, strict=True):
+                    columns[f"{name}_{label}"] = column
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """A Dataset over time with units and descriptions as attributes; needs xarray."""
+        import xarray as xr
+
+        variables = {
+            name: (
+                ("time", *(f"{name}_component" for _ in data.shape[1:])),
+                data,
+                self.attributes[name],
+            )
+            for name, data in self.arrays.items()
+            if name != "time"
+        }
+        coordinates: dict[str, Any] = {"time": ("time", self.time, self.attributes["time"])}
+        for name, data in self.arrays.items():
+            if data.ndim == 2:
+                coordinates[f"{name}_component"] = list(self._labels(name))
+        return xr.Dataset(variables, coordinates, {"title": str(self.path), "task": self.task})
+
+    def _labels(self, name: str) -> Sequence[str]:
+        labels = self.attributes[name].get("components")
+        return (
+            list(labels)
+            if labels is not None
+            else [str(index + 1) for index in range(self.arrays[name].shape[1])]
+        )
+
+
+def load(path: str | Path) -> Result:
+    """Read a result file; raises ResultFileError if it is missing, damaged or not ours.
+
+    >>> result = load("jeffery_prolate.h5")  # doctest: +SKIP
+    >>> result.time.shape, result.axis.shape  # doctest: +SKIP
+    ((301,), (301, 3))
+    """
+    import h5py
+
+    path = Path(path)
+    if path.is_dir():
+        raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")
+    if not path.exists():
+        raise ResultFileError(f"{path}: no such file; name a result file (.h5)")
+    if not os.access(path, os.R_OK):
+        raise ResultFileError(f"{path}: no permission to read it")
+    if not h5py.is_hdf5(path):
+        raise ResultFileError(f"{path}: is not an HDF5 file; name a result of this program")
+    try:
+        with h5py.File(path, "r") as file:
+            header = dict(file.attrs)
+            if header.get("format") != FORMAT or "task" not in header:
+                raise ResultFileError(f"{path}: an HDF5 file, but not written by this program")
+            if int(header.get("format_version", 0)) > FORMAT_VERSION:
+                raise ResultFileError(
+                    f"{path}: has format version {header['format_version']}, this program reads "
+                    f"{FORMAT_VERSION}; update qbxstokes"
+                )
+            arrays: dict[str, NDArray[Any]] = {}
+            attributes: dict[str, dict[str, Any]] = {}
+            groups: dict[str, dict[str, Any]] = {}
+            for name, item in file.items():
+                if isinstance(item, h5py.Group):
+                    groups[name] = read_tree(item)
+                    continue
+                arrays[name] = item[()]
+                attributes[name] = {
+                    key: item.attrs[key]
+                    for key in ("units", "description", "frame", "components")
+                    if key in item.attrs
+                }
+            if "summary" not in groups:
+                raise ResultFileError(f"{path}: is incomplete: it has no summary; run it again")
+    except ResultFileError:
+        raise
+    except Exception as error:  # h5py reports damage by errors of many kinds
+        reason = " ".join(str(error).split())
+        raise ResultFileError(f"{path}: is damaged or truncated ({reason})") from None
+    return Result(path, header, arrays, attributes, groups)

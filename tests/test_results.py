@@ -1,0 +1,113 @@
+"""Result files: layout, atomic writing, names that are not overwritten, refusals."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from qbxstokes.errors import CaseError, ResultFileError
+from qbxstokes.io.results import MOTION_FIELDS, ResultWriter, load
+
+
+def block(start: int, count: int) -> dict[str, np.ndarray]:
+    time = np.arange(start, start + count, dtype=float)
+    rng = np.random.default_rng(start)
+    return {"time": time} | {
+        name: rng.normal(size=(count, *field.shape)) for name, field in MOTION_FIELDS.items()
+    }
+
+
+def write(path: Path, *blocks: dict[str, np.ndarray], overwrite: bool = False) -> Path:
+    provenance = {"case": "body: {}\n" * 2000, "ranks": 2, "versions": {"numpy": "1"}}
+    with ResultWriter(path, "motion", provenance, overwrite) as writer:
+        for samples in blocks:
+            writer.append(samples)
+        return writer.finish({"error": 1e-12, "steps": 7, "note": None, "times": [1.0, 2.0]})
+
+
+def test_appended_blocks_read_back_as_one(tmp_path: Path) -> None:
+    first, second = block(0, 5), block(5, 3)
+    result = load(write(tmp_path / "a.h5", first, second))
+    for name in ("time", *MOTION_FIELDS):
+        np.testing.assert_array_equal(result[name], np.concatenate([first[name], second[name]]))
+    np.testing.assert_array_equal(result.axis, result["axis"])
+    assert result.provenance["case"] == "body: {}\n" * 2000
+    assert result.provenance["versions"] == {"numpy": "1"}
+    assert result.summary["error"] == 1e-12
+    assert result.summary["note"] is None
+    assert "axis" in dir(result)
+    with pytest.raises(AttributeError, match="no dataset nothing"):
+        _ = result.nothing
+
+
+def test_every_dataset_has_units_and_time_as_its_scale(tmp_path: Path) -> None:
+    with h5py.File(write(tmp_path / "a.h5", block(0, 4))) as file:
+        assert file["time"].attrs["CLASS"] == b"DIMENSION_SCALE"
+        for name in MOTION_FIELDS:
+            assert file[name].dims[0][0].name == "/time"
+            assert file[name].attrs["units"] == MOTION_FIELDS[name].units
+        assert file.attrs["format"] == "qbxstokes"
+        assert "q0, q1, q2, q3" in file.attrs["conventions"]
+
+
+def test_existing_result_is_kept_unless_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    assert write(path, block(0, 2)) == path
+    assert write(path, block(0, 3)) == tmp_path / "a-1.h5"
+    assert write(path, block(0, 4)) == tmp_path / "a-2.h5"
+    assert len(load(path).time) == 2
+    assert write(path, block(0, 5), overwrite=True) == path
+    assert len(load(path).time) == 5
+    assert sorted(os.listdir(tmp_path)) == ["a-1.h5", "a-2.h5", "a.h5"]
+
+
+def test_interrupted_writer_leaves_nothing(tmp_path: Path) -> None:
+    with ResultWriter(tmp_path / "a.h5", "motion") as writer:
+        writer.append(block(0, 2))
+        assert os.listdir(tmp_path)
+    assert not os.listdir(tmp_path)
+
+
+def test_unwritable_targets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaseError, match="is a directory"):
+        ResultWriter(tmp_path, "motion")
+    with pytest.raises(CaseError, match="no directory"):
+        ResultWriter(tmp_path / "nowhere" / "a.h5", "motion")
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.h5", block(0, 500)).read_bytes()
+    for size in (0, 7, 100, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "cut.h5").write_bytes(whole[:size])
+        with pytest.raises(ResultFileError):
+            load(tmp_path / "cut.h5")
+    damaged = bytearray(whole)
+    data = np.frombuffer(load(tmp_path / "a.h5").axis.tobytes()[:64], np.uint8).tobytes()
+    damaged[whole.index(data)] ^= 0xFF
+    (tmp_path / "damaged.h5").write_bytes(damaged)
+    with pytest.raises(ResultFileError, match="damaged"):
+        load(tmp_path / "damaged.h5")
+    with h5py.File(tmp_path / "foreign.h5", "w") as file:
+        file["time"] = [1.0]
+    with pytest.raises(ResultFileError, match="not written by this program"):
+        load(tmp_path / "foreign.h5")
+    for bad in ("missing.h5", "."):
+        with pytest.raises(ResultFileError):
+            load(tmp_path / bad)
+
+
+def test_result_converts_to_pandas_and_xarray(tmp_path: Path) -> None:
+    result = load(write(tmp_path / "a.h5", block(0, 4)))
+    pytest.importorskip("pandas")
+    frame = result.to_pandas()
+    np.testing.assert_array_equal(frame["axis_3"], result.axis[:, 2])
+    np.testing.assert_array_equal(frame.index, result.time)
+    pytest.importorskip("xarray")
+    dataset = result.to_xarray()
+    np.testing.assert_array_equal(dataset.axis, result.axis)
+    assert dataset.velocity.attrs["units"] == "c/tau"
+    assert list(dataset.euler_angles_component.values) == ["phi", "theta", "psi"]
