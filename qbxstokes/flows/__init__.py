@@ -1,7 +1,51 @@
 """Background flows: Stokes flows in which the body moves."""
 
 from qbxstokes.flows.base import Flow
+from qbxstokes.flows.check import (
+    StokesianReport,
+    check_singularities,
+    check_stokesian,
+    clearance,
+)
+from qbxstokes.flows.combination import SumFlow, TransformedFlow, add_flows
+from qbxstokes.flows.named import (
+    Extension,
+    Linear,
+    Paraboloid,
+    PlanePoiseuille,
+    Rotation,
+    Shear,
+    TubePoiseuille,
+    Uniform,
+)
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
+from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
+from qbxstokes.flows.user import UserFlow, resolve_paths
 
-__all__ = ["REGISTRY", "Flow", "PolynomialFlow", "build_flow"]
+__all__ = [
+    "REGISTRY",
+    "Extension",
+    "Flow",
+    "Linear",
+    "Paraboloid",
+    "PlanePoiseuille",
+    "PolynomialFlow",
+    "Rotation",
+    "Rotlet",
+    "Shear",
+    "StokesianReport",
+    "Stokeslet",
+    "Stresslet",
+    "SumFlow",
+    "TransformedFlow",
+    "TubePoiseuille",
+    "Uniform",
+    "UserFlow",
+    "add_flows",
+    "build_flow",
+    "check_singularities",
+    "check_stokesian",
+    "clearance",
+    "resolve_paths",
+]

@@ -32,6 +32,7 @@ class Flow(ABC):
     """
 
     type_name: ClassVar[str] = ""
+    length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
 
     @abstractmethod
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
@@ -69,7 +70,7 @@ class Flow(ABC):
 
     def difference_step(self, x: Array) -> Array:
         """Largest step, shape (...), for differences at x: kept clear of the singular points."""
-        step = np.full(x.shape[:-1], 0.2)
+        step = np.full(x.shape[:-1], 0.2 * self.length)
         if len(self.singular_points):
             separation = np.linalg.norm(x[..., None, :] - self.singular_points, axis=-1)
             step = np.minimum(step, 0.2 * separation.min(axis=-1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from qbxstokes.errors import FlowError
@@ -20,6 +21,8 @@ from qbxstokes.flows.named import (
     Uniform,
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
+from qbxstokes.flows.user import UserFlow, resolve_paths
 
 REGISTRY: dict[str, type[Flow]] = {
     "uniform": Uniform,
@@ -31,20 +34,25 @@ REGISTRY: dict[str, type[Flow]] = {
     "plane_poiseuille": PlanePoiseuille,
     "tube_poiseuille": TubePoiseuille,
     "polynomial": PolynomialFlow,
+    "stokeslet": Stokeslet,
+    "rotlet": Rotlet,
+    "stresslet": Stresslet,
     "sum": SumFlow,
     "transformed": TransformedFlow,
+    "user": UserFlow,
 }
 
 
-def build_flow(spec: Mapping[str, Any]) -> Flow:
+def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> Flow:
     """Flow from {"type": name, ..., "position": [3], "rotation": ...}.
 
     `rotation` (quaternion, {axis, angle} or matrix) turns the whole flow about its own origin,
-    then `position` moves that origin. Raises FlowError that says what would be right.
+    then `position` moves that origin. Files of user functions are relative to `directory`.
+    Raises FlowError that says what would be right.
     """
     if not isinstance(spec, Mapping):
         raise FlowError(f"flow must be a mapping with a key 'type', not {spec!r}")
-    rest = dict(spec)
+    rest = dict(spec) if directory is None else resolve_paths(spec, directory)
     name = rest.pop("type", None)
     if name not in REGISTRY:
         near = difflib.get_close_matches(str(name), REGISTRY, n=1)
@@ -61,4 +69,4 @@ def build_flow(spec: Mapping[str, Any]) -> Flow:
     if position is not None:
         flow = flow.shifted(tensor(position, "position", (3,)))
     # Tensors moved and turned would hide what was asked for; keep its name for the record.
-    return flow.named(spec) if isinstance(flow, PolynomialFlow) else flow
+    return flow.named(dict(spec)) if isinstance(flow, PolynomialFlow) else flow

@@ -1,0 +1,238 @@
+"""Point singularities of Stokes flow in closed form: stokeslet, rotlet, stresslet.
+
+With r = x - position, r = |r| and mu = 1 (Kim & Karrila 1991, Microhydrodynamics, chapter 2;
+Pozrikidis 1992, Boundary Integral and Singularity Methods, chapters 2 and 7).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Array, Flow, number, tensor
+
+_FOUR_PI = 4.0 * np.pi
+_EIGHT_PI = 8.0 * np.pi
+
+
+def _dot(a: Array, b: Array) -> Array:
+    result: Array = np.einsum("...i,...i->...", a, b)
+    return result
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[..., :, None] * b[..., None, :]
+
+
+class Singularity(Flow):
+    """A singularity of a given strength (vector or tensor) at a point; decays at infinity."""
+
+    strength: Array
+    position: Array
+
+    def _arms(self, x: ArrayLike) -> tuple[Array, Array]:
+        """r = x - position (..., 3) and 1/|r| (...); infinite at the singularity itself."""
+        arm = np.asarray(x, dtype=float) - self.position
+        with np.errstate(divide="ignore"):
+            inverse: Array = 1.0 / np.sqrt(_dot(arm, arm))
+        return arm, inverse
+
+    @property
+    def singular_points(self) -> Array:
+        """The position, shape (1, 3)."""
+        return self.position[None, :]
+
+    def spec(self) -> dict[str, Any]:
+        """Specification: strength and position."""
+        return {
+            "type": self.type_name,
+            "strength": self.strength.tolist(),
+            "position": self.position.tolist(),
+        }
+
+    @abstractmethod
+    def _with(self, strength: Array, position: Array) -> Flow:
+        """The same kind of singularity with another strength at another point."""
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The singularity moved."""
+        return self._with(self.strength, self.position + tensor(displacement, "position", (3,)))
+
+    def rotated(self, rotation: ArrayLike) -> Flow:
+        """The singularity turned about the space origin, position and strength alike."""
+        turn = tensor(rotation, "rotation", (3, 3))
+        strength = turn @ self.strength
+        if strength.ndim == 2:
+            strength = strength @ turn.T
+        return self._with(strength, turn @ self.position)
+
+    def scaled(self, factor: float) -> Flow:
+        """The singularity with its strength times a number."""
+        return self._with(number(factor, "factor") * self.strength, self.position)
+
+
+class Stokeslet(Singularity):
+    """Point force F (the strength) on the fluid: u = (F/r + r (F.r)/r^3)/(8 pi)."""
+
+    type_name = "stokeslet"
+
+    def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.strength = tensor(strength, "strength of a stokeslet (the force)", (3,))
+        self.position = tensor(position, "position", (3,))
+
+    def _with(self, strength: Array, position: Array) -> Stokeslet:
+        return Stokeslet(strength, position)
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        arm, inverse = self._arms(x)
+        along = _dot(arm, self.strength) * inverse**2
+        result: Array = (self.strength + along[..., None] * arm) * (inverse / _EIGHT_PI)[..., None]
+        return result
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """A_ij = (-F_i r_j + r_i F_j + (F.r)(delta_ij - 3 r_i r_j/r^2))/(8 pi r^3)."""
+        arm, inverse = self._arms(x)
+        along = _dot(arm, self.strength)[..., None, None]
+        force = np.broadcast_to(self.strength, arm.shape)
+        direction = arm * inverse[..., None]
+        terms = _outer(arm, force) - _outer(force, arm)
+        terms = terms + along * (np.eye(3) - 3.0 * _outer(direction, direction))
+        result: Array = terms * (inverse**3 / _EIGHT_PI)[..., None, None]
+        return result
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Gradient of the pressure: (F - 3 r (F.r)/r^2)/(4 pi r^3)."""
+        arm, inverse = self._arms(x)
+        along = 3.0 * _dot(arm, self.strength) * inverse**2
+        result: Array = (self.strength - along[..., None] * arm) * (inverse**3 / _FOUR_PI)[
+            ..., None
+        ]
+        return result
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """p = F.r/(4 pi r^3)."""
+        arm, inverse = self._arms(x)
+        result: Array = _dot(arm, self.strength) * inverse**3 / _FOUR_PI
+        return result
+
+    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """sigma_ij = -3 r_i r_j (F.r)/(4 pi r^5)."""
+        arm, inverse = self._arms(x)
+        factor = -3.0 / _FOUR_PI * _dot(arm, self.strength) * inverse**5
+        return factor[..., None, None] * _outer(arm, arm)
+
+
+class Rotlet(Singularity):
+    """Point torque M (the strength) on the fluid: u = M x r/(8 pi r^3); no pressure."""
+
+    type_name = "rotlet"
+
+    def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.strength = tensor(strength, "strength of a rotlet (the torque)", (3,))
+        self.position = tensor(position, "position", (3,))
+        a, b, c = self.strength
+        self._cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+
+    def _with(self, strength: Array, position: Array) -> Rotlet:
+        return Rotlet(strength, position)
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        arm, inverse = self._arms(x)
+        result: Array = arm @ self._cross.T * (inverse**3 / _EIGHT_PI)[..., None]
+        return result
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """A_ij = (eps_iaj M_a - 3 (M x r)_i r_j/r^2)/(8 pi r^3)."""
+        arm, inverse = self._arms(x)
+        direction = arm * inverse[..., None]
+        terms = self._cross - 3.0 * _outer(direction @ self._cross.T, direction)
+        result: Array = terms * (inverse**3 / _EIGHT_PI)[..., None, None]
+        return result
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Zero: the rotlet is harmonic."""
+        return np.zeros(np.shape(x))
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Zero."""
+        return np.zeros(np.shape(x)[:-1])
+
+    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """sigma_ij = -3 ((M x r)_i r_j + r_i (M x r)_j)/(8 pi r^5)."""
+        arm, inverse = self._arms(x)
+        turned = arm @ self._cross.T
+        factor = (-3.0 / _EIGHT_PI * inverse**5)[..., None, None]
+        result: Array = factor * (_outer(turned, arm) + _outer(arm, turned))
+        return result
+
+
+class Stresslet(Singularity):
+    """Point stresslet S (symmetric, traceless): u = -3 r (r.S r)/(8 pi r^5).
+
+    S is Batchelor's stresslet of a particle (Batchelor 1970, J. Fluid Mech. 41, 545): a sphere of
+    radius a in the strain E disturbs the flow as S = (20/3) pi a^3 E does at large distance.
+    """
+
+    type_name = "stresslet"
+
+    def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Raises FlowError unless the strength is symmetric and traceless."""
+        self.strength = tensor(strength, "strength of a stresslet", (3, 3))
+        self.position = tensor(position, "position", (3,))
+        symmetric = 0.5 * (self.strength + self.strength.T)
+        right = symmetric - np.trace(symmetric) / 3.0 * np.eye(3)
+        if np.abs(self.strength - right).max() > 1e-12 * np.abs(self.strength).max():
+            raise FlowError(
+                "flow: strength of a stresslet must be symmetric (a rotlet carries the rest) and "
+                f"traceless (a source is not allowed); the nearest such one is {right.tolist()}"
+            )
+
+    def _with(self, strength: Array, position: Array) -> Stresslet:
+        return Stresslet(strength, position)
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        arm, inverse = self._arms(x)
+        form = _dot(arm @ self.strength, arm)
+        return (-3.0 / _EIGHT_PI * form * inverse**5)[..., None] * arm
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """A_ij = -3 (delta_ij s + 2 r_i (S r)_j - 5 r_i r_j s/r^2)/(8 pi r^5), s = r.S r."""
+        arm, inverse = self._arms(x)
+        stretched = arm @ self.strength
+        form = _dot(stretched, arm)[..., None, None]
+        direction = arm * inverse[..., None]
+        terms = form * (np.eye(3) - 5.0 * _outer(direction, direction))
+        terms = terms + 2.0 * _outer(arm, stretched)
+        result: Array = terms * (-3.0 / _EIGHT_PI * inverse**5)[..., None, None]
+        return result
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Gradient of the pressure: -3 (2 S r - 5 r s/r^2)/(4 pi r^5)."""
+        arm, inverse = self._arms(x)
+        stretched = arm @ self.strength
+        form = _dot(stretched, arm) * inverse**2
+        terms = 2.0 * stretched - 5.0 * form[..., None] * arm
+        result: Array = terms * (-3.0 / _FOUR_PI * inverse**5)[..., None]
+        return result
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """p = -3 s/(4 pi r^5)."""
+        arm, inverse = self._arms(x)
+        result: Array = -3.0 / _FOUR_PI * _dot(arm @ self.strength, arm) * inverse**5
+        return result
+
+    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """sigma_ij = -3 (r_i (S r)_j + (S r)_i r_j - 5 r_i r_j s/r^2)/(4 pi r^5)."""
+        arm, inverse = self._arms(x)
+        stretched = arm @ self.strength
+        form = (_dot(stretched, arm) * inverse**2)[..., None, None]
+        terms = _outer(arm, stretched) + _outer(stretched, arm) - 5.0 * form * _outer(arm, arm)
+        result: Array = terms * (-3.0 / _FOUR_PI * inverse**5)[..., None, None]
+        return result

@@ -1,0 +1,192 @@
+"""A background flow from a user's own Python function, named in the case as file.py:function."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Array, Flow, curl, number, tensor
+from qbxstokes.flows.combination import TransformedFlow
+from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
+
+# Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
+# smooth on the straight way from the origin.
+_PRESSURE_NODES = 24
+
+
+class UserFlow(Flow):
+    """u(x) = function(x) or function(x, t), with x an array (n, 3) and the result of that shape.
+
+    Derivatives are extrapolated central differences (`qbxstokes.flows.differences`) with steps up
+    to a fifth of `length`, the length over which the flow varies, and of the distance to the
+    nearest of `singular_points`; the relative errors are about 1e-12 (gradient), 1e-10
+    (Laplacian) and 1e-8 (curl of the Laplacian). A function of x alone is steady.
+    `parameters` are passed on as keyword arguments.
+    """
+
+    type_name = "user"
+
+    def __init__(
+        self,
+        function: str | Callable[..., Any],
+        length: float = 1.0,
+        singular_points: ArrayLike | None = None,
+        parameters: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Raises FlowError if the function cannot be found or does not return velocities."""
+        self.length = number(length, "length", positive=True)
+        self.parameters = dict(parameters or {})
+        self.function = function if callable(function) else load_function(function)
+        self.name = function if isinstance(function, str) else _name_of(function)
+        if singular_points is None or np.size(singular_points) == 0:
+            self._singular_points = np.empty((0, 3))
+        else:
+            shape = (len(np.atleast_2d(singular_points)), 3)
+            self._singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
+        self._takes_time = self._positional_arguments() > 1
+
+    def _positional_arguments(self) -> int:
+        try:
+            parameters = inspect.signature(self.function).parameters.values()
+        except (TypeError, ValueError):
+            return 1
+        return sum(
+            parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
+            and parameter.name not in self.parameters
+            for parameter in parameters
+        )
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3); raises FlowError if the function fails or returns anything else."""
+        points = np.asarray(x, dtype=float)
+        flat = points.reshape(-1, 3)
+        time = (t,) if self._takes_time else ()
+        try:
+            result = np.asarray(self.function(flat.copy(), *time, **self.parameters))
+        except Exception as error:
+            raise FlowError(
+                f"flow function {self.name} raised {type(error).__name__}: {error}"
+            ) from error
+        if result.shape != flat.shape or result.dtype.kind not in "fiu":
+            raise FlowError(
+                f"flow function {self.name} must return a real array of the shape of its "
+                f"points, {flat.shape}, not {result.dtype} {result.shape}"
+            )
+        return result.astype(float, copy=False).reshape(points.shape)
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3) by extrapolated differences."""
+        points = np.asarray(x, dtype=float)
+        return gradient_of(lambda y: self.velocity(y, t), points, self.difference_step(points))
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Laplacian (..., 3) by extrapolated differences."""
+        points = np.asarray(x, dtype=float)
+        return laplacian_of(lambda y: self.velocity(y, t), points, self.difference_step(points))
+
+    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Curl of the Laplacian (..., 3) by extrapolated differences of the velocity."""
+        points = np.asarray(x, dtype=float)
+        steps = self.difference_step(points)
+        return curl(laplacian_gradient_of(lambda y: self.velocity(y, t), points, steps))
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Pressure (...), zero at the flow's origin: integral of Lap u along the straight way."""
+        points = np.asarray(x, dtype=float)
+        nodes, weights = np.polynomial.legendre.leggauss(_PRESSURE_NODES)
+        way = 0.5 * (nodes[:, None] + 1.0) * points[..., None, :]
+        slope = np.einsum("...ni,...i->...n", self.laplacian(way, t), points)
+        result: Array = slope @ (0.5 * weights)
+        return result
+
+    @property
+    def steady(self) -> bool:
+        """Whether the function takes no time."""
+        return not self._takes_time
+
+    @property
+    def singular_points(self) -> Array:
+        """Singular points as declared, (n, 3)."""
+        return self._singular_points
+
+    def spec(self) -> dict[str, Any]:
+        """Specification; `function` names a file only if it was given so."""
+        return {
+            "type": self.type_name,
+            "function": self.name,
+            "length": self.length,
+            "singular_points": self._singular_points.tolist(),
+            "parameters": self.parameters,
+        }
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The flow moved."""
+        return TransformedFlow(self).shifted(displacement)
+
+    def rotated(self, rotation: ArrayLike) -> Flow:
+        """The flow turned about the space origin."""
+        return TransformedFlow(self).rotated(rotation)
+
+    def scaled(self, factor: float) -> Flow:
+        """The flow times a number."""
+        return TransformedFlow(self).scaled(factor)
+
+
+def _name_of(function: Callable[..., Any]) -> str:
+    return str(getattr(function, "__qualname__", repr(function)))
+
+
+def load_function(name: str) -> Callable[..., Any]:
+    """The function that "file.py:function" names; raises FlowError."""
+    path_text, separator, attribute = str(name).rpartition(":")
+    path = Path(path_text)
+    if not separator or path.suffix != ".py" or not attribute.isidentifier():
+        raise FlowError(f"flow: function must be given as file.py:function, not {name!r}")
+    if not path.is_file():
+        raise FlowError(f"flow: there is no file {path_text!r} for the function {name!r}")
+    # A name of its own for each path, so that two files called alike do not meet.
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    specification = importlib.util.spec_from_file_location(f"_flow_{digest}", path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:
+        raise FlowError(f"flow: {path_text} raised {type(error).__name__}: {error}") from error
+    function = getattr(module, attribute, None)
+    if not callable(function):
+        known = [
+            key
+            for key, value in vars(module).items()
+            if inspect.isfunction(value) and not key.startswith("_")
+        ]
+        raise FlowError(
+            f"flow: {path_text} has no function {attribute!r}; it has {', '.join(known) or 'none'}"
+        )
+    return function  # type: ignore[no-any-return]
+
+
+def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, Any]:
+    """The specification with every user function's file made absolute, relative to `directory`."""
+    result = dict(spec)
+    if result.get("type") == UserFlow.type_name and isinstance(result.get("function"), str):
+        path, separator, attribute = result["function"].rpartition(":")
+        if separator:
+            result["function"] = f"{Path(directory, path).resolve()}:{attribute}"
+    if isinstance(result.get("terms"), list | tuple):
+        result["terms"] = [
+            resolve_paths(term, directory) if isinstance(term, Mapping) else term
+            for term in result["terms"]
+        ]
+    if isinstance(result.get("flow"), Mapping):
+        result["flow"] = resolve_paths(result["flow"], directory)
+    return result
