@@ -187,7 +187,7 @@ install() {
     fi
     step "installing Python packages into $venv" \
         "$venv/bin/python" -m pip install --disable-pip-version-check -e "$here$1"
-    "$venv/bin/python" -c "import ${base[*]}; from petsc4py import PETSc" ||
+    "$venv/bin/python" -c "from petsc4py import PETSc; import mpi4py, h5py, yaml, numba, scipy" ||
         die "the packages installed in $venv do not work together"
     rm -f "$venv/.unfinished"
     printf '%s\n' "$recipe" >"$venv/.complete"
