@@ -1,3 +1,43 @@
-"""qbxstokes: motion of a rigid spheroid in Stokes flow by quadrature by expansion."""
+"""qbxstokes: motion of a rigid spheroid in Stokes flow by quadrature by expansion.
+
+>>> import qbxstokes as qs
+>>> qs.build_flow({"type": "shear", "rate": 2.0}).velocity([0.0, 1.0, 0.0]).tolist()
+[2.0, 0.0, 0.0]
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from qbxstokes.config.load import load_case as load_case
+    from qbxstokes.flows import build_flow as build_flow
+    from qbxstokes.geometry.spheroid import Spheroid as Spheroid
+    from qbxstokes.io.results import load as load
 
 __version__ = "0.1.0"
+
+# Public name -> module that holds it; imported when first used, so that `import qbxstokes` costs
+# nothing and the mathematics stays free of PETSc, files and options.
+_PUBLIC = {
+    "Spheroid": "qbxstokes.geometry.spheroid",
+    "build_flow": "qbxstokes.flows",
+    "load": "qbxstokes.io.results",
+    "load_case": "qbxstokes.config.load",
+}
+__all__ = ["Spheroid", "__version__", "build_flow", "load", "load_case"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name in _PUBLIC:
+        value = getattr(import_module(_PUBLIC[name]), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names, loaded or not."""
+    return sorted({*globals(), *_PUBLIC})

@@ -1,0 +1,1 @@
+"""The application: plans, runs, command line and what it prints."""

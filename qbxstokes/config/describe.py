@@ -11,8 +11,10 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from qbxstokes.config.document import printable
 from qbxstokes.config.load import section_of
 from qbxstokes.config.schema import Case
+from qbxstokes.errors import CaseError
 
 SCHEMA_FILE = "case.schema.json"
 
@@ -99,7 +101,12 @@ _STARTERS: dict[str, dict[str, Any]] = {
 
 
 def starter(task: str = "motion") -> str:
-    """A case file that runs as it is, with every key: the optional ones commented out."""
+    """A case file that runs as it is, with every key: the optional ones commented out.
+
+    Raises CaseError for a task that has no starter.
+    """
+    if task not in _STARTERS:
+        raise CaseError(f"--task {printable(task)}: unknown; one of {', '.join(_STARTERS)}")
     values = _STARTERS[task]
     lines = [
         "# Every key with its meaning; commented ones show their default or an example.",

@@ -47,6 +47,11 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
     document = parse(read_text(path), str(path))
     for assignment in overrides:
         document.override(assignment)
+    return from_document(document, path)
+
+
+def from_document(document: Document, path: Path) -> LoadedCase:
+    """The case of a document that has been read already (by another rank, say)."""
     case = validate(document)
     return LoadedCase(case, document, _build_flow(case, document, path), path)
 
@@ -155,6 +160,6 @@ def _build_flow(case: Case, document: Document, path: Path) -> Flow:
     from qbxstokes.flows import build_flow
 
     try:
-        return build_flow(case.flow.spec())
+        return build_flow(case.flow.spec(), path.parent)
     except FlowError as error:
         raise document.error(("flow", *error.key), str(error)) from None

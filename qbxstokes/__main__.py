@@ -1,0 +1,40 @@
+"""`python -m qbxstokes`: the command line, with one thread budget for all ranks of a node."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+# How launchers tell a process how many ranks share its node.
+_LOCAL_RANKS = ("OMPI_COMM_WORLD_LOCAL_SIZE", "MPI_LOCALNRANKS", "SLURM_NTASKS_PER_NODE")
+_THREAD_VARIABLES = (
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+
+
+def share_threads() -> None:
+    """Divide the cores among the ranks of a node, unless the user has said otherwise.
+
+    Must run before NumPy is imported: BLAS reads these variables once.
+    """
+    ranks = next((os.environ[name] for name in _LOCAL_RANKS if name in os.environ), "1")
+    if ranks.isdigit() and int(ranks) > 1:
+        threads = max(1, len(os.sched_getaffinity(0)) // int(ranks))
+        for name in _THREAD_VARIABLES:
+            os.environ.setdefault(name, str(threads))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    share_threads()
+    from qbxstokes.app.cli import run_command
+
+    return run_command(sys.argv[1:] if arguments is None else arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+"""Ranks: what rank 0 decides reaches all, and one rank's failure ends the job."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from qbxstokes.errors import QbxStokesError
+
+T = TypeVar("T")
+
+_POLL = 2e-3  # seconds between looks of a waiting rank
+
+
+def world() -> Any:
+    """The communicator of all ranks (starts MPI)."""
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
+
+
+def on_root(comm: Any, action: Callable[[], T]) -> T:
+    """Result of `action` on rank 0, given to all ranks; a QbxStokesError is raised on all.
+
+    The waiting ranks sleep instead of spinning, so that they leave their cores to rank 0.
+    """
+    outcome: tuple[Any, QbxStokesError | None] = (None, None)
+    if comm.rank == 0:
+        try:
+            outcome = (action(), None)
+        except QbxStokesError as error:
+            outcome = (None, error)
+    if comm.size > 1:
+        arrived = comm.Ibarrier()
+        while not arrived.Test():
+            time.sleep(_POLL)
+        outcome = comm.bcast(outcome)
+    value, error = outcome
+    if error is not None:
+        error.shared = True  # type: ignore[attr-defined]
+        raise error
+    return value
+
+
+def guarded(comm: Any, action: Callable[[], int]) -> int:
+    """Run `action` on every rank; an error that not all ranks share ends the whole job.
+
+    An error shared by all (see `on_root`), or that of a single process, is told once and becomes
+    the exit status. Any other is told with its rank, and every rank is stopped.
+    """
+    try:
+        return action()
+    except QbxStokesError as error:
+        if comm.size == 1 or getattr(error, "shared", False):
+            if comm.rank == 0:
+                tell(error)
+            return error.exit_status
+        print(f"qbxstokes: rank {comm.rank}: {error}", file=sys.stderr, flush=True)
+        status = error.exit_status
+    except KeyboardInterrupt:
+        print("qbxstokes: interrupted; no result was written", file=sys.stderr, flush=True)
+        status = 130
+    except Exception as error:
+        status = 1
+        told = petsc_message(error)
+        text = f"qbxstokes: {told}\n" if told else traceback.format_exc()
+        if comm.size > 1:
+            text = "".join(f"rank {comm.rank}: {line}\n" for line in text.splitlines())
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    if comm.size > 1:
+        sys.stdout.flush()
+        comm.Abort(status)
+        os._exit(status)
+    return status
+
+
+def tell(error: QbxStokesError) -> None:
+    """The error as one line on standard error; bad input starts with its file and line."""
+    prefix = "" if error.exit_status == 2 else "qbxstokes: "
+    print(f"{prefix}{error}", file=sys.stderr, flush=True)
+
+
+def petsc_message(error: Exception) -> str:
+    """One line for an error that PETSc raised, '' for any other."""
+    if type(error).__module__.partition(".")[0] != "petsc4py":
+        return ""
+    lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+    reasons = [line for line in lines[1:] if line and "() at " not in line]
+    return f"PETSc {lines[0]}: {'; '.join(reasons) or 'no further reason given'}"
