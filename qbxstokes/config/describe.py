@@ -62,10 +62,7 @@ def flows() -> Iterator[tuple[str, dict[str, Any], str]]:
     from qbxstokes.flows import REGISTRY
 
     for name, flow in REGISTRY.items():
-        parameters = {
-            key: parameter.default for key, parameter in inspect.signature(flow).parameters.items()
-        }
-        yield name, parameters, (inspect.getdoc(flow) or "").split("\n\n")[0].replace("\n", " ")
+        yield name, flow.keys(), (inspect.getdoc(flow) or "").split("\n\n")[0].replace("\n", " ")
 
 
 def json_schema() -> dict[str, Any]:

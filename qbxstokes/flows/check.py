@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Array, Flow
 
-# Velocity that counts as rounding noise of differences, relative to |u|/radius.
-_NOISE = 1e-3
+# Rounding of n-th differences with step h is taken as this times |u|/h^n.
+_ROUNDING = 100.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ def check_stokesian(
 
     The points fill the ball, the place of the body included (a background flow extends through
     it); those within radius/4 of a declared singular point are drawn anew. Residuals are
-    relative to the largest velocity gradient G in the ball (with the radius as length); G is
-    given a floor of 1e-3 |u|/radius, below which differences of a user's function are noise.
+    relative to the largest velocity gradient G in the ball (with the radius as length) and are
+    what exceeds the rounding of the differences that derivatives of a user's function are.
     Raises FlowError with residual and point if one exceeds `tolerance`, or if the velocity is
     not finite somewhere.
     """
@@ -57,11 +57,13 @@ def check_stokesian(
     if not finite.all():
         where = _text(points[np.argmin(finite)])
         raise FlowError(f"the flow or its derivatives are not finite at {where}, near the body")
-    scale = np.linalg.norm(gradient, axis=(-1, -2)).max()
-    scale = max(scale, _NOISE * np.linalg.norm(velocity, axis=-1).max() / radius)
+    scale = float(np.linalg.norm(gradient, axis=(-1, -2)).max())
     if scale == 0.0:
         return StokesianReport(0.0, 0.0, points[0], tolerance)
-    residuals = np.stack([divergence / scale, twist * radius**2 / scale])
+    step = flow.difference_step(points)
+    noise = _ROUNDING * float(np.linalg.norm(velocity, axis=-1).max())
+    residuals = np.stack([divergence - noise / step, (twist - noise / step**3) * radius**2])
+    residuals = np.maximum(residuals, 0.0) / scale
     kind, index = np.unravel_index(residuals.argmax(), residuals.shape)
     worst = float(residuals[kind, index])
     if worst > tolerance:

@@ -46,6 +46,7 @@ class SumFlow(Flow):
 
     def __init__(self, terms: Sequence[Flow]) -> None:
         self.terms = tuple(terms)
+        self.length = min(flow.length for flow in self.terms)
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
@@ -55,13 +56,14 @@ class SumFlow(Flow):
         check_keys(spec, ["terms"], cls.type_name)
         terms = spec.get("terms")
         if not isinstance(terms, Sequence) or isinstance(terms, str) or not terms:
-            raise FlowError(f"flow 'sum' needs 'terms', a list of flows, not {terms!r}")
+            raise FlowError(f"flow 'sum' needs 'terms', a list of flows, not {terms!r}", ("terms",))
         built = []
-        for count, term in enumerate(terms, start=1):
+        for index, term in enumerate(terms):
             try:
                 built.append(build_flow(term))
             except FlowError as error:
-                raise FlowError(f"term {count} of the sum: {error}") from None
+                key = ("terms", index, *error.key)
+                raise FlowError(f"term {index + 1} of the sum: {error}", key) from None
         flow = add_flows(built)
         if isinstance(flow, PolynomialFlow):
             return flow.named({"type": cls.type_name, "terms": list(terms)})
@@ -139,16 +141,27 @@ class TransformedFlow(Flow):
         )
         self.position = tensor(position, "position", (3,))
         self.factor = number(factor, "factor")
+        self.length = flow.length
+
+    @classmethod
+    def keys(cls) -> dict[str, Any]:
+        """`flow` and `factor`; position and rotation are keys that every flow has."""
+        known = super().keys()
+        return {name: known[name] for name in ("flow", "factor")}
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
         """Flow {"flow": spec, "factor": number}, moved and turned by the keys every flow has."""
         from qbxstokes.flows.registry import build_flow
 
-        check_keys(spec, ["flow", "factor"], cls.type_name)
+        check_keys(spec, list(cls.keys()), cls.type_name)
         if "flow" not in spec:
             raise FlowError("flow 'transformed' needs 'flow', the flow to scale, move or turn")
-        return build_flow(spec["flow"]).scaled(number(spec.get("factor", 1.0), "factor"))
+        try:
+            flow = build_flow(spec["flow"])
+        except FlowError as error:
+            raise FlowError(str(error), ("flow", *error.key)) from None
+        return flow.scaled(number(spec.get("factor", 1.0), "factor"))
 
     def _inner(self, x: ArrayLike) -> Array:
         result: Array = (np.asarray(x, dtype=float) - self.position) @ self.rotation

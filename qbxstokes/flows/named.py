@@ -45,8 +45,9 @@ class Linear(PolynomialFlow):
         if abs(trace) > 1e-12 * float(np.abs(matrix).max()):
             right = np.array2string(np.diag(matrix) - trace / 3.0, separator=", ")
             raise FlowError(
-                f"flow: the gradient has trace {trace:.6g} and must have none (incompressible "
-                f"fluid); the nearest traceless one has the diagonal {right}"
+                f"the gradient has trace {trace:.6g} and must have none (incompressible "
+                f"fluid); the nearest traceless one has the diagonal {right}",
+                ("gradient",),
             )
         super().__init__(gradient=matrix)
         self._spec = {"type": self.type_name, "gradient": matrix.tolist()}
@@ -77,7 +78,8 @@ class Extension(PolynomialFlow):
         """Raises FlowError for a kind other than uniaxial, biaxial, planar."""
         if kind not in _EXTENSIONS:
             raise FlowError(
-                f"flow: kind of extension must be one of {', '.join(_EXTENSIONS)}, not {kind!r}"
+                f"kind of extension must be one of {', '.join(_EXTENSIONS)}, not {kind!r}",
+                ("kind",),
             )
         strain_rate = number(rate, "rate")
         super().__init__(gradient=strain_rate * np.diag(_EXTENSIONS[kind]))

@@ -54,8 +54,9 @@ class PolynomialFlow(Flow):
                 asymmetry = np.abs(array - np.swapaxes(array, 1, axis)).max()
                 if asymmetry > _ROUNDING * np.abs(array).max():
                     raise FlowError(
-                        f"flow: {name} must be symmetric in its derivative indices (all but "
-                        f"the first); it differs by {asymmetry:.3g}"
+                        f"{name} must be symmetric in its derivative indices (all but "
+                        f"the first); it differs by {asymmetry:.3g}",
+                        (name,),
                     )
             array.flags.writeable = False
             tensors.append(array)
@@ -72,6 +73,13 @@ class PolynomialFlow(Flow):
     # -- construction -----------------------------------------------------------------------
 
     @classmethod
+    def keys(cls) -> dict[str, Any]:
+        """Keys of the specification with their defaults; `coefficients` or tensors."""
+        if cls is not PolynomialFlow:
+            return super().keys()
+        return {"coefficients": None, **super().keys()}
+
+    @classmethod
     def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
         """Polynomial flow from `coefficients` per monomial or from its Taylor tensors.
 
@@ -82,12 +90,13 @@ class PolynomialFlow(Flow):
         """
         if cls is not PolynomialFlow:
             return super().from_spec(spec)
-        check_keys(spec, ["coefficients", *_TENSOR_KEYS], cls.type_name)
+        check_keys(spec, list(cls.keys()), cls.type_name)
         if "coefficients" in spec:
             if len(spec) > 1:
                 raise FlowError(
                     "flow 'polynomial' takes either 'coefficients' or tensors "
-                    f"({', '.join(_TENSOR_KEYS)}), not both"
+                    f"({', '.join(_TENSOR_KEYS)}), not both",
+                    ("coefficients",),
                 )
             return cls.from_coefficients(spec["coefficients"])
         if not spec:
@@ -109,21 +118,31 @@ class PolynomialFlow(Flow):
         """
         if not isinstance(coefficients, Mapping):
             raise FlowError(
-                "flow: coefficients must map u1, u2, u3 to monomials, e.g. "
-                f"{{u1: {{x2^2: 1.0}}}}, not {coefficients!r}"
+                "coefficients must map u1, u2, u3 to monomials, e.g. "
+                f"{{u1: {{x2^2: 1.0}}}}, not {coefficients!r}",
+                ("coefficients",),
             )
-        check_keys(coefficients, ["u1", "u2", "u3"], "polynomial coefficients")
+        for name in coefficients:
+            if name not in ("u1", "u2", "u3"):
+                raise FlowError(
+                    f"coefficients are of u1, u2 and u3, not {name!r}", ("coefficients", str(name))
+                )
         tensors = [np.zeros((3,) * rank) for rank in (1, 2, 3, 4)]
         for name, terms in coefficients.items():
             component = int(name[1]) - 1
             if not isinstance(terms, Mapping):
                 raise FlowError(
-                    f"flow: coefficients of {name} must map monomials to numbers, e.g. "
-                    f"{{x2^2: 1.0}}, not {terms!r}"
+                    f"coefficients of {name} must map monomials to numbers, e.g. "
+                    f"{{x2^2: 1.0}}, not {terms!r}",
+                    ("coefficients", name),
                 )
             for monomial, given in terms.items():
-                exponents = parse_monomial(str(monomial))
-                coefficient = number(given, f"coefficient of {monomial} in {name}")
+                key = ("coefficients", name, monomial)
+                try:
+                    exponents = parse_monomial(str(monomial))
+                except FlowError as error:
+                    raise FlowError(str(error), key) from None
+                coefficient = number(given, f"coefficient of {monomial} in {name}", key=key)
                 # d^alpha of c x^alpha is c alpha!, for every order of the derivative indices.
                 derivative = coefficient * float(np.prod([factorial(n) for n in exponents]))
                 degree = sum(exponents)
@@ -304,7 +323,7 @@ class PolynomialFlow(Flow):
 def parse_monomial(text: str) -> Exponents:
     """Exponents of x1, x2, x3 in a monomial such as x2^2, x1*x3 or 1; raises FlowError."""
     wrong = FlowError(
-        f"flow: {text!r} is not a monomial of degree <= 3 in x1, x2, x3; write e.g. 1, x2, "
+        f"{text!r} is not a monomial of degree <= 3 in x1, x2, x3; write e.g. 1, x2, "
         "x2^2, x1*x3 or x1*x2^2"
     )
     exponents = [0, 0, 0]

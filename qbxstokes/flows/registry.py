@@ -58,7 +58,7 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
         near = difflib.get_close_matches(str(name), REGISTRY, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known flows: {', '.join(REGISTRY)}"
         what = "flow needs a key 'type'" if name is None else f"unknown flow type {name!r}"
-        raise FlowError(f"{what}; {hint}")
+        raise FlowError(f"{what}; {hint}", () if name is None else ("type",))
     position = rest.pop("position", None)
     rotation = rest.pop("rotation", None)
     flow = REGISTRY[name].from_spec(rest)

@@ -81,7 +81,7 @@ class Stokeslet(Singularity):
     type_name = "stokeslet"
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        self.strength = tensor(strength, "strength of a stokeslet (the force)", (3,))
+        self.strength = tensor(strength, "strength", (3,))
         self.position = tensor(position, "position", (3,))
 
     def _with(self, strength: Array, position: Array) -> Stokeslet:
@@ -133,7 +133,7 @@ class Rotlet(Singularity):
     type_name = "rotlet"
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        self.strength = tensor(strength, "strength of a rotlet (the torque)", (3,))
+        self.strength = tensor(strength, "strength", (3,))
         self.position = tensor(position, "position", (3,))
         a, b, c = self.strength
         self._cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
@@ -183,14 +183,15 @@ class Stresslet(Singularity):
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Raises FlowError unless the strength is symmetric and traceless."""
-        self.strength = tensor(strength, "strength of a stresslet", (3, 3))
+        self.strength = tensor(strength, "strength", (3, 3))
         self.position = tensor(position, "position", (3,))
         symmetric = 0.5 * (self.strength + self.strength.T)
         right = symmetric - np.trace(symmetric) / 3.0 * np.eye(3)
         if np.abs(self.strength - right).max() > 1e-12 * np.abs(self.strength).max():
             raise FlowError(
-                "flow: strength of a stresslet must be symmetric (a rotlet carries the rest) and "
-                f"traceless (a source is not allowed); the nearest such one is {right.tolist()}"
+                "strength of a stresslet must be symmetric (a rotlet carries the rest) and "
+                f"traceless (a source is not allowed); the nearest such one is {right.tolist()}",
+                ("strength",),
             )
 
     def _with(self, strength: Array, position: Array) -> Stresslet:

@@ -73,12 +73,13 @@ class UserFlow(Flow):
             result = np.asarray(self.function(flat.copy(), *time, **self.parameters))
         except Exception as error:
             raise FlowError(
-                f"flow function {self.name} raised {type(error).__name__}: {error}"
+                f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
             ) from error
         if result.shape != flat.shape or result.dtype.kind not in "fiu":
             raise FlowError(
                 f"flow function {self.name} must return a real array of the shape of its "
-                f"points, {flat.shape}, not {result.dtype} {result.shape}"
+                f"points, {flat.shape}, not {result.dtype} {result.shape}",
+                ("function",),
             )
         return result.astype(float, copy=False).reshape(points.shape)
 
@@ -149,9 +150,9 @@ def load_function(name: str) -> Callable[..., Any]:
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
     if not separator or path.suffix != ".py" or not attribute.isidentifier():
-        raise FlowError(f"flow: function must be given as file.py:function, not {name!r}")
+        raise FlowError(f"function must be given as file.py:function, not {name!r}", ("function",))
     if not path.is_file():
-        raise FlowError(f"flow: there is no file {path_text!r} for the function {name!r}")
+        raise FlowError(f"there is no file {path_text!r} for the function {name!r}", ("function",))
     # A name of its own for each path, so that two files called alike do not meet.
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
     specification = importlib.util.spec_from_file_location(f"_flow_{digest}", path)
@@ -161,7 +162,9 @@ def load_function(name: str) -> Callable[..., Any]:
     try:
         specification.loader.exec_module(module)
     except Exception as error:
-        raise FlowError(f"flow: {path_text} raised {type(error).__name__}: {error}") from error
+        raise FlowError(
+            f"{path_text} raised {type(error).__name__}: {error}", ("function",)
+        ) from error
     function = getattr(module, attribute, None)
     if not callable(function):
         known = [
@@ -170,7 +173,8 @@ def load_function(name: str) -> Callable[..., Any]:
             if inspect.isfunction(value) and not key.startswith("_")
         ]
         raise FlowError(
-            f"flow: {path_text} has no function {attribute!r}; it has {', '.join(known) or 'none'}"
+            f"{path_text} has no function {attribute!r}; it has {', '.join(known) or 'none'}",
+            ("function",),
         )
     return function  # type: ignore[no-any-return]
 
