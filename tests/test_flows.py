@@ -465,3 +465,26 @@ def test_registry_holds_flows_under_their_own_names():
     for name, flow in REGISTRY.items():
         assert issubclass(flow, Flow)
         assert flow.type_name == name
+
+
+@pytest.mark.parametrize(
+    ("spec", "key"),
+    [
+        ({"type": "sheer"}, ("type",)),
+        ({"type": "shear", "rat": 1.0}, ("rat",)),
+        ({"type": "shear", "rate": "fast"}, ("rate",)),
+        ({"type": "linear", "gradient": np.eye(3)}, ("gradient",)),
+        ({"type": "shear", "rotation": {"axis": [0, 0, 0], "angle": 1}}, ("rotation", "axis")),
+        (
+            {"type": "polynomial", "coefficients": {"u1": {"x9": 1}}},
+            ("coefficients", "u1", "x9"),
+        ),
+        ({"type": "sum", "terms": [{"type": "shear", "rate": "x"}]}, ("terms", 0, "rate")),
+        ({"type": "transformed", "flow": {"type": "no"}}, ("flow", "type")),
+        ({"type": "user", "function": "none.py:f"}, ("function",)),
+    ],
+)
+def test_errors_lead_to_the_key_at_fault(spec, key):
+    with pytest.raises(FlowError) as caught:
+        build_flow(spec)
+    assert caught.value.key == key
