@@ -8,12 +8,22 @@ weighted sum over the surface grid for any other flow (`GridFunctional`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from itertools import combinations_with_replacement, permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.bie.rigid import RigidMode
+from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
+
 Array = NDArray[np.float64]
+LEVI_CIVITA: Array = np.zeros((3, 3, 3))
+for _i, _j, _k in permutations(range(3)):
+    LEVI_CIVITA[_i, _j, _k] = np.linalg.det(np.eye(3)[[_i, _j, _k]])
 
 
 @dataclass(frozen=True)
@@ -71,3 +81,175 @@ class BodyModel:
     faxen: FaxenCoefficients
     grid: GridFunctional | None
     error_estimate: float
+
+    def to_arrays(self) -> dict[str, Array]:
+        """Plain arrays that hold the model, for storage; `from_arrays` restores it."""
+        r, f = self.resistance, self.faxen
+        arrays = {
+            "aspect_ratio": np.array(self.aspect_ratio),
+            "resistance": np.array([getattr(r, field.name) for field in fields(r)]),
+            "linear": np.array(f.linear),
+            "quadratic": f.quadratic,
+            "cubic": f.cubic,
+            "error_estimate": np.array(self.error_estimate),
+        }
+        if self.grid is not None:
+            arrays |= {"points": self.grid.points, "weights": self.grid.weights}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> BodyModel:
+        """Model of the arrays that `to_arrays` made."""
+        grid = GridFunctional(arrays["points"], arrays["weights"]) if "points" in arrays else None
+        return cls(
+            float(arrays["aspect_ratio"]),
+            Resistance(*(float(value) for value in arrays["resistance"])),
+            FaxenCoefficients(
+                float(arrays["linear"]),
+                np.asarray(arrays["quadratic"]),
+                np.asarray(arrays["cubic"]),
+            ),
+            grid,
+            float(arrays["error_estimate"]),
+        )
+
+
+@dataclass(frozen=True)
+class ModalFunctional:
+    """Free motion as a functional of the velocity's modes 0 and 1, by kind of rigid motion.
+
+    weights: name of a rigid motion (see `rigid_modes`) -> amplitude (3 n_theta,). One set serves
+    every azimuthal resolution and every flow, since no other mode moves the body.
+    """
+
+    grid: SurfaceGrid
+    weights: dict[str, Array]
+
+    def on_grid(self, n_phi: int) -> GridFunctional:
+        """The functional on the surface grid with n_phi >= 3 azimuthal nodes."""
+        grid = SurfaceGrid(self.grid.spheroid, self.grid.n_theta, n_phi)
+        rows = []
+        for name, factors in (
+            ("translation_transverse", (1.0, -1j)),
+            ("translation_axial", (1.0,)),
+            ("rotation_transverse", (1j, 1.0)),
+            ("rotation_axial", (1j,)),
+        ):
+            for factor in factors:
+                modes = np.zeros((n_phi // 2 + 1, 3 * grid.n_theta), dtype=np.complex128)
+                mode = 0 if name.endswith("axial") else 1
+                modes[mode] = factor * self.weights[name] / n_phi
+                rows.append(from_modes(modes, grid.n_theta, n_phi))
+        return GridFunctional(grid.points, np.stack(rows))
+
+
+def adjoint_weights(
+    operator: ModalOperator,
+    rigid: dict[str, RigidMode],
+    solve_transpose: Callable[[Array], Array] | None = None,
+) -> dict[str, Array]:
+    """Weights of the free motion: -4 pi A^-T projector for each kind of rigid motion.
+
+    operator: the mobility operator on a grid with n_phi >= 3. solve_transpose maps a grid field
+    (N, 3) to the solution of the transposed system; without it the blocks are inverted directly.
+    Transverse motions along y follow from those along x by rotation: four solves, not six.
+    """
+    solve = solve_transpose or operator.inverse.apply_transpose
+    weights = {}
+    for name, motion in rigid.items():
+        modes = np.zeros((operator.n_phi // 2 + 1, motion.projector.size), dtype=np.complex128)
+        modes[motion.mode] = motion.phase * motion.projector
+        field = solve(from_modes(modes, operator.n_theta, operator.n_phi))
+        solution = to_modes(field, operator.n_theta, operator.n_phi)[motion.mode]
+        weights[name] = -4.0 * np.pi * (solution / motion.phase).real
+    return weights
+
+
+def resistance(weights: dict[str, Array], completion: dict[str, Array]) -> Resistance:
+    """Resistance from the free motion of the body pushed by a completion of unit force or torque.
+
+    The mobility problem with that force has the completion flow as its data: U = R^-1 F.
+    """
+    return Resistance(**{name: 1.0 / float(weights[name] @ completion[name]) for name in weights})
+
+
+def stokes_polynomials(degree: int) -> Array:
+    """Orthonormal basis of the homogeneous Stokes flows of degree 1, 2 or 3.
+
+    Returns derivative tensors (n, 3, 3, ...) of order degree, [i, j, k...] = d_j d_k ... u_i,
+    that are free of divergence and whose Laplacian is free of curl: n = 8, 15 or 21.
+    """
+    exponents = list(combinations_with_replacement(range(3), degree))
+    tensors = []
+    for i in range(3):
+        for index in exponents:
+            tensor = np.zeros((3,) * (degree + 1))
+            for permuted in set(permutations(index)):
+                tensor[(i, *permuted)] = 1.0
+            tensors.append(tensor)
+    space = np.stack(tensors)
+    constraints = [np.einsum("nii...->n...", space).reshape(len(space), -1)]
+    if degree == 3:
+        laplacian = np.einsum("nijkk->nij", space)
+        constraints.append((laplacian - laplacian.swapaxes(1, 2)).reshape(len(space), -1))
+    matrix = np.concatenate(constraints, axis=1).T
+    _, singular, rows = np.linalg.svd(matrix)
+    rank = int(np.sum(singular > 1e-12 * singular[0]))
+    return np.tensordot(rows[rank:], space, axes=1)
+
+
+def faxen_coefficients(functional: ModalFunctional) -> tuple[FaxenCoefficients, float]:
+    """Coefficients of the free motion, and the misfit of the law they are fitted to.
+
+    Each basis flow is put on the grid, its free motion taken, and the coefficients of its degree
+    are the least-squares solution over the basis. With exact hydrodynamics the misfit vanishes, so
+    it measures the error of the discretisation (largest absolute difference, unit derivatives).
+    """
+    # Cylindrical components of a cubic flow hold modes up to 4: eight nodes keep 0 and 1 clean.
+    grid = functional.on_grid(8)
+    d = np.array([0.0, 0.0, 1.0])
+    fits: list[Array] = []
+    misfit = 0.0
+    for degree, terms_of in ((1, _linear_terms), (2, _quadratic_terms), (3, _cubic_terms)):
+        tensors = stokes_polynomials(degree)
+        velocity = tensors
+        for _ in range(degree):
+            # The first contraction meets every point, the later ones follow point by point.
+            path = "n...j,xj->nx..." if velocity is tensors else "nx...j,xj->nx..."
+            velocity = np.einsum(path, velocity, grid.points)
+        motion = np.einsum("axj,nxj->na", grid.weights, velocity / math.factorial(degree))
+        known, terms = terms_of(tensors, d)
+        measured = (motion[:, :3] if degree == 2 else motion[:, 3:]) - known
+        matrix = np.moveaxis(terms, 0, -1).reshape(-1, len(terms))
+        solution = np.linalg.lstsq(matrix, measured.ravel(), rcond=None)[0]
+        misfit = max(misfit, float(np.max(np.abs(matrix @ solution - measured.ravel()))))
+        fits.append(solution)
+    return FaxenCoefficients(float(fits[0][0]), fits[1], fits[2]), misfit
+
+
+def _linear_terms(a: Array, d: Array) -> tuple[Array, Array]:
+    """Half the vorticity (n, 3), and the term of lambda (1, n, 3), of gradients (n, 3, 3)."""
+    strain = 0.5 * (a + a.swapaxes(1, 2))
+    return 0.5 * np.einsum("iab,nba->ni", LEVI_CIVITA, a), np.cross(d, strain @ d)[None]
+
+
+def _quadratic_terms(b: Array, d: Array) -> tuple[Array, Array]:
+    """Terms (5, n, 3) of the quadratic coefficients, of second derivatives (n, 3, 3, 3)."""
+    laplacian = np.einsum("nijj->ni", b)
+    along = b @ d @ d
+    gradient = np.einsum("njki,j,k->ni", b, d, d)
+    terms = [laplacian, along, np.outer(laplacian @ d, d), np.outer(along @ d, d), gradient]
+    return np.zeros_like(along), np.stack(terms)
+
+
+def _cubic_terms(c: Array, d: Array) -> tuple[Array, Array]:
+    """Terms (4, n, 3) of the cubic coefficients, of third derivatives (n, 3, 3, 3, 3)."""
+    along = c @ d @ d
+    laplacian = np.einsum("nijkk->nij", c)
+    spin = np.einsum("iab,nba->ni", LEVI_CIVITA, along)
+
+    def turn(gradient: Array) -> Array:
+        return np.cross(d, 0.5 * (gradient + gradient.swapaxes(1, 2)) @ d)
+
+    terms = [spin, np.outer(spin @ d, d), turn(laplacian), turn(along)]
+    return np.zeros_like(spin), np.stack(terms)

@@ -1,0 +1,195 @@
+"""Discrete layer potentials on the spheroid: one target per theta row, a block per mode.
+
+Rotational symmetry leaves one target per row of the grid, mirror symmetry in z half of the rows,
+and each row is independent of the others, so rows can be formed by different processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import CaseError
+from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+
+Array = NDArray[np.float64]
+Side = Literal["average", "inner", "outer"]
+
+
+@dataclass(frozen=True)
+class GradedScheme:
+    """Target-specific QBX with source panels graded to each centre.
+
+    expansion_order: p. radius_factor: expansion radius over `Spheroid.admissible_radius`.
+    panel_order: Gauss-Legendre nodes per panel and direction. panel_ratio: largest panel length
+    over its distance to the centre. side: average of inner and outer expansions, or one of them
+    plus the jump.
+    """
+
+    n_theta: int = 20
+    expansion_order: int = 16
+    radius_factor: float = 0.1
+    panel_order: int = 18
+    panel_ratio: float = 0.7
+    side: Side = "average"
+
+    def __post_init__(self) -> None:
+        _require(0.0 < self.radius_factor <= 1.0, "radius_factor", self.radius_factor, "in (0, 1]")
+        _require(self.expansion_order >= 0, "expansion_order", self.expansion_order, ">= 0")
+        _require(self.n_theta >= 2, "n_theta", self.n_theta, ">= 2")
+        _require(self.panel_order >= 2, "panel_order", self.panel_order, ">= 2")
+        _require(self.panel_ratio > 0.0, "panel_ratio", self.panel_ratio, "positive")
+
+    def radius(self, spheroid: Spheroid, theta: float) -> float:
+        """Expansion radius at theta, in c."""
+        return self.radius_factor * float(spheroid.admissible_radius(theta))
+
+    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> tuple[Array, ...]:
+        """Source rule of the centre on the given side of the target at theta."""
+        from qbxstokes.qbx.panels import graded_rule
+
+        x, w = np.polynomial.legendre.leggauss(self.panel_order)
+        rule: tuple[Array, ...] = graded_rule(
+            spheroid.aspect_ratio,
+            theta,
+            side,
+            self.radius(spheroid, theta),
+            self.panel_ratio,
+            # A panel must resolve the interpolated density and the azimuthal modes as well.
+            np.pi * self.panel_order / (self.n_theta + 8),
+            np.pi * self.panel_order / (2 * (n_modes + 3)),
+            x,
+            w,
+        )
+        return rule
+
+
+@dataclass(frozen=True)
+class UniformScheme:
+    """The thesis's scheme: one global radius, uniform upsampling (Bagge 2015, sec. 5.3.3).
+
+    r_over_h gives the radius 2 pi (r/h) / n_theta; upsampling is kappa, in both directions.
+    n_phi is that of the grid, since the source rule refines it.
+    """
+
+    n_theta: int
+    n_phi: int
+    expansion_order: int
+    r_over_h: float
+    upsampling: int
+    side: Side = "average"
+
+    def __post_init__(self) -> None:
+        _require(self.r_over_h > 0.0, "r_over_h", self.r_over_h, "positive")
+        _require(self.expansion_order >= 0, "expansion_order", self.expansion_order, ">= 0")
+        _require(self.n_theta >= 2, "n_theta", self.n_theta, ">= 2")
+        _require(self.n_phi >= 3, "n_phi", self.n_phi, ">= 3")
+        _require(self.upsampling >= 1, "upsampling", self.upsampling, ">= 1")
+
+    def radius(self, spheroid: Spheroid, theta: float) -> float:
+        """The global expansion radius; CaseError if its ball crosses the surface anywhere.
+
+        The restriction r <= k^2 (prolate) or r <= 1/k (oblate) is Bagge 2015, sec. 5.3.3.
+        """
+        radius = 2.0 * np.pi * self.r_over_h / self.n_theta
+        k = spheroid.aspect_ratio
+        limit = k * k if k <= 1.0 else 1.0 / k
+        if radius > limit:
+            formula = "k^2 n_theta / (2 pi)" if k <= 1.0 else "n_theta / (2 pi k)"
+            raise CaseError(
+                f"r_over_h is {self.r_over_h:g}: the expansion ball would cross the surface of a "
+                f"spheroid with aspect_ratio {k:g}; use r_over_h <= {formula} = "
+                f"{limit * self.n_theta / (2.0 * np.pi):.6g}"
+            )
+        return radius
+
+    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> tuple[Array, ...]:
+        """Source rule, the same for every centre: the upsampled grid."""
+        from qbxstokes.qbx.panels import uniform_rule
+
+        rule: tuple[Array, ...] = uniform_rule(
+            self.upsampling * self.n_theta, self.upsampling * self.n_phi
+        )
+        return rule
+
+
+Scheme = GradedScheme | UniformScheme
+
+
+def _require(condition: bool, name: str, value: object, wanted: str) -> None:
+    if not condition:
+        raise CaseError(f"{name} is {value}; it must be {wanted}")
+
+
+def independent_rows(n_theta: int) -> range:
+    """Rows to form; the others follow by the mirror symmetry in z."""
+    return range((n_theta + 1) // 2)
+
+
+def layer_rows(
+    spheroid: Spheroid,
+    scheme: Scheme,
+    n_modes: int,
+    rows: Sequence[int],
+    with_single: bool = False,
+) -> tuple[Array, Array]:
+    """Rows of the double and the single layer at the targets theta[rows], phi = 0.
+
+    Returns two arrays (len(rows), n_modes, 3, 3, n_theta); see `kernel.target_row` for their
+    meaning. One-sided expansions carry the jump term, so that the value is that on the surface:
+    the exterior limit is D - 4 pi psi (Bagge 2015, eq. 4.8). The second array is of length 0 in
+    n_modes unless with_single.
+    """
+    from qbxstokes.qbx.kernel import target_row
+
+    grid = SurfaceGrid(spheroid, scheme.n_theta, 1)
+    x, w = np.polynomial.legendre.leggauss(scheme.n_theta)
+    barycentric = (-1.0) ** np.arange(scheme.n_theta) * np.sqrt((1.0 - x * x) * w)
+    sides = {"average": (1, -1), "inner": (-1,), "outer": (1,)}[scheme.side]
+    shape = (len(rows), n_modes, 3, 3, scheme.n_theta)
+    double = np.zeros(shape)
+    single = np.zeros(shape if with_single else (len(rows), 0, 3, 3, scheme.n_theta))
+    for index, row in enumerate(rows):
+        theta = float(grid.theta[row])
+        for side in sides:
+            target_row(
+                spheroid.aspect_ratio,
+                theta,
+                side,
+                scheme.radius(spheroid, theta),
+                scheme.expansion_order,
+                *scheme.rule(spheroid, theta, side, n_modes),
+                grid.theta,
+                barycentric,
+                n_modes,
+                with_single,
+                double[index],
+                single[index],
+            )
+        if len(sides) == 1:
+            for a in range(3):
+                double[index, :, a, a, row] += 4.0 * np.pi * sides[0]
+    if len(sides) == 2:
+        double *= 0.5
+        single *= 0.5
+    return double, single
+
+
+def blocks_from_rows(rows: Array) -> Array:
+    """Blocks (n_modes, 3 n_theta, 3 n_theta) from the independent rows, completed by symmetry.
+
+    Under z -> -z the z component changes sign and theta runs backwards.
+    """
+    n_rows, n_modes, _, _, n_theta = rows.shape
+    blocks = np.empty((n_modes, 3, n_theta, 3, n_theta))
+    sign = np.array([1.0, 1.0, -1.0])
+    mirrored = rows[..., ::-1] * (sign[:, None] * sign)[:, :, None]
+    for i in range(n_rows):
+        blocks[:, :, i] = rows[i]
+        if n_theta - 1 - i != i:
+            blocks[:, :, n_theta - 1 - i] = mirrored[i]
+    return blocks.reshape(n_modes, 3 * n_theta, 3 * n_theta)
