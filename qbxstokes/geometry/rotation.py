@@ -33,7 +33,7 @@ def multiply(p: ArrayLike, q: ArrayLike) -> Array:
 
 def conjugate(q: ArrayLike) -> Array:
     """Conjugate quaternion, the inverse rotation for unit q. Shape (..., 4)."""
-    return np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(np.asarray(q, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0])
 
 
 def normalize(q: ArrayLike) -> Array:

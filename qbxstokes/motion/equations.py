@@ -1,0 +1,471 @@
+"""Equations of motion of a block of rigid spheroids that share one body model and one flow.
+
+State of a body: (x, q), 7 numbers, for St = 0; (x, q, V, W), 13 numbers, for St > 0, with x and
+V in the space frame, q body to space and W the angular velocity in the body frame. Arrays of states
+are (n_bodies, n_state) for the user and (n_state, n_bodies) in `rates` and `jacobian`, which is
+how the kernels sweep them.
+
+The hydrodynamics enter through the free motion (U, Omega), the one without force and torque. Drag
+is linear, F = R_t (U - V), so that loads only shift the motion that the drag pulls to:
+
+    St = 0:  dx/dt = U + R_t^-1 F_ext,  dq/dt = (0, Omega + R_r^-1 M_ext) * q / 2
+    St > 0:  dx/dt = V,  dq/dt = q * (0, W) / 2,  St Theta dV/dt = R_t (U + R_t^-1 F_ext - V),
+             St J dW/dt = R_r (Omega + R_r^-1 M_ext - W) - St W x (J W)      (body frame)
+
+(Bagge 2015, eqs. 3.26-3.29.) For k > 0 with this symmetry translation and rotation do not couple
+through drag, so that each may be prescribed while the other stays free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion import kernels
+
+if TYPE_CHECKING:
+    from qbxstokes.bie.functional import BodyModel
+
+Array = NDArray[np.float64]
+Vectors = ArrayLike | Callable[[float], ArrayLike]
+Evaluation = Literal["auto", "plain", "compiled"]
+
+N_MASSLESS = 7
+N_INERTIAL = 13
+
+# From this size of the block, or this number of right-hand sides of a single body, the compiled
+# kernels repay their import (about 0.4 s against some 10 us a right-hand side).
+COMPILED_BLOCK = 8
+COMPILED_EVALUATIONS = 100_000
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_TRIPLES = (
+    *((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 1, 1), (0, 1, 2)),
+    *((0, 2, 2), (1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2)),
+)
+
+
+@runtime_checkable
+class FreeMotion(Protocol):
+    """Anything that knows the free motion of bodies at (x, q), in the space frame."""
+
+    def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """U and Omega, each (n, 3), at centres x (n, 3) and unit quaternions q (n, 4)."""
+        ...
+
+
+@runtime_checkable
+class ForceTorque(FreeMotion, Protocol):
+    """A free motion that also finds force and torque directly (the check of the shortcut)."""
+
+    def force_torque(
+        self, t: float, x: Array, q: Array, v: Array, omega: Array
+    ) -> tuple[Array, Array]:
+        """Hydrodynamic force and torque on the bodies, each (n, 3), in the space frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Loads:
+    """External force and torque on the bodies: arrays (3,) or (n, 3), or functions of time.
+
+    force and torque are given in the space frame; body_force and body_torque in the body frame,
+    in which they stay fixed. Units mu c^2/tau and mu c^3/tau.
+    """
+
+    force: Vectors = (0.0, 0.0, 0.0)
+    torque: Vectors = (0.0, 0.0, 0.0)
+    body_force: Vectors = (0.0, 0.0, 0.0)
+    body_torque: Vectors = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Prescribed parts of the motion, None where it is free.
+
+    velocity and angular_velocity are given in the space frame as arrays (3,) or (n, 3) or
+    functions of time; zero locks. For St > 0 the prescribed part of the state keeps its initial
+    value and is not read.
+    """
+
+    velocity: Vectors | None = None
+    angular_velocity: Vectors | None = None
+
+    @classmethod
+    def held(cls) -> Constraints:
+        """Neither translates nor rotates."""
+        return cls(velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0))
+
+
+class RigidBodyEquations:
+    """dy/dt and its Jacobian for `n_bodies` bodies; see the module's text for the equations.
+
+    model: the body model that all share. flow: a polynomial flow (degree <= 3), whose free motion
+    follows from the model's Faxen coefficients, or any provider with `free_motion`; a provider
+    with `force_torque` is asked for the force itself when St > 0. stokes_number: a number or (n,),
+    all zero or all positive.
+    """
+
+    def __init__(
+        self,
+        model: BodyModel,
+        flow: PolynomialFlow | FreeMotion,
+        stokes_number: ArrayLike = 0.0,
+        n_bodies: int = 1,
+        loads: Loads | None = None,
+        constraints: Constraints | None = None,
+        evaluation: Evaluation = "auto",
+    ) -> None:
+        """Precompute rates and tables. Raises ValueError for mixed or negative Stokes numbers."""
+        self.model, self.n_bodies = model, n_bodies
+        self.stokes_number: Array = np.broadcast_to(
+            np.asarray(stokes_number, dtype=np.float64), (n_bodies,)
+        )
+        self.massless = not np.any(self.stokes_number)
+        if not self.massless and not np.all(self.stokes_number > 0.0):
+            raise ValueError("Stokes numbers of one block must be all zero or all positive")
+        self.n_state = N_MASSLESS if self.massless else N_INERTIAL
+        self.constraints = constraints or Constraints()
+        self.evaluation: Evaluation = evaluation
+
+        r = model.resistance
+        self._resistance = (
+            r.translation_transverse,
+            r.translation_axial,
+            r.rotation_transverse,
+            r.rotation_axial,
+        )
+        self._mobility = tuple(1.0 / value for value in self._resistance)
+        spheroid = Spheroid(model.aspect_ratio)
+        j1, _, j3 = (float(value) for value in spheroid.inertia)
+        self._gyration = (j3 - j1) / j1
+        inertia = np.array([spheroid.volume, spheroid.volume, j1, j3])
+        with np.errstate(divide="ignore"):
+            self._rates: Array = np.outer(np.array(self._resistance) / inertia, 1.0) / (
+                self.stokes_number
+            )
+
+        self._table: Array | None = None
+        self._provider: FreeMotion | None = None
+        if isinstance(flow, PolynomialFlow):
+            self._table = pack_table(flow, model)
+            self._flow, self._law = kernels.tables(self._table.tolist())
+        else:
+            self._provider = flow
+        self._loads = loads
+        self._load_rows: Array = np.zeros((12, n_bodies))
+        self._steady_loads = loads is None or not any(callable(v) for v in _load_fields(loads))
+        if loads is not None:
+            self._fill_loads(0.0)
+
+    # -- the right-hand side ----------------------------------------------------------------
+
+    @property
+    def relaxation_rates(self) -> Array:
+        """R/(St inertia), (4, n): translation and rotation, transverse and axial; inf for St = 0.
+
+        The inverses are the time scales on which a body takes up the motion of the flow.
+        """
+        return self._rates
+
+    def compiled(self, evaluations: float = 0.0) -> bool:
+        """Whether the compiled kernels serve, given how many right-hand sides are to come."""
+        possible = self._table is not None and self._unconstrained
+        if self.evaluation != "auto":
+            return possible and self.evaluation == "compiled"
+        return possible and (self.n_bodies >= COMPILED_BLOCK or evaluations >= COMPILED_EVALUATIONS)
+
+    def rate_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
+        """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only."""
+        if not self.compiled(evaluations):
+            return self.rates
+        from qbxstokes.motion import compiled
+
+        mobility = np.array(self._mobility)
+        loaded = self._loads is not None
+
+        def massless(t: float, y: Array, out: Array) -> None:
+            compiled.massless_block(y, out, self._table, loaded, mobility, self._loads_at(t))
+
+        def inertial(t: float, y: Array, out: Array) -> None:
+            loads = self._loads_at(t)
+            compiled.inertial_block(
+                y, out, self._table, loaded, mobility, loads, self._rates, self._gyration
+            )
+
+        return massless if self.massless else inertial
+
+    def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
+        """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
+        if not self.compiled(evaluations):
+            return self.jacobian
+        from qbxstokes.motion import compiled
+
+        mobility = np.array(self._mobility)
+        loaded = self._loads is not None
+
+        def massless(t: float, y: Array, out: Array) -> None:
+            loads = self._loads_at(t)
+            compiled.massless_jacobian_block(y, out, self._table, loaded, mobility, loads)
+
+        def inertial(t: float, y: Array, out: Array) -> None:
+            loads = self._loads_at(t)
+            compiled.inertial_jacobian_block(
+                y, out, self._table, loaded, mobility, loads, self._rates, self._gyration
+            )
+
+        return massless if self.massless else inertial
+
+    def rates(self, t: float, y: Array, out: Array) -> None:
+        """Write dy/dt, (n_state, n_bodies), by the plain kernels."""
+        rows = self._rows(y)
+        if self._table is not None and self._unconstrained:
+            result = self._polynomial_rate(t, rows)
+        else:
+            result = self._rate(t, rows, self._motion(t, rows))
+        if self.n_bodies == 1:
+            out[:, 0] = result
+        else:
+            for row, value in zip(out, result, strict=True):
+                row[:] = value
+
+    def jacobian(self, t: float, y: Array, out: Array) -> None:
+        """Write the Jacobian, (n_bodies, n_state, n_state), by the plain kernels.
+
+        Exact to rounding by complex steps for polynomial flows; for a provider its free motion is
+        differenced (central, relative error about 1e-10) and the rest is exact.
+        """
+        rows = [row * (1.0 + 0.0j) for row in self._rows(y)]
+        step = kernels.STEP * 1.0j
+        motion = None if self._table is not None else self._motion(t, self._rows(y))
+        columns = []
+        for j in range(self.n_state):
+            moved = [row + step if i == j else row for i, row in enumerate(rows)]
+            local = self._motion(t, moved) if motion is None else motion
+            columns.append(self._rate(t, moved, local))
+        out[:] = self._slopes(columns)
+        if motion is not None:
+            columns = []
+            for j in range(6):
+                local = tuple(u + step if i == j else u + 0.0j for i, u in enumerate(motion))
+                columns.append(self._rate(t, rows, local))
+            out[:, :, :N_MASSLESS] += self._slopes(columns) @ self._motion_slopes(t, y)
+
+    # -- what is reported -------------------------------------------------------------------
+
+    def initial_state(
+        self,
+        position: ArrayLike,
+        quaternion: ArrayLike,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        t: float = 0.0,
+    ) -> Array:
+        """States (n_bodies, n_state) from positions, quaternions and velocities (space frame).
+
+        A velocity that is None follows the flow (and the loads): no net force, no net torque.
+        """
+        n = self.n_bodies
+        y = np.empty((n, self.n_state))
+        y[:, 0:3] = np.asarray(position, dtype=np.float64)
+        y[:, 3:7] = rotation.normalize(np.broadcast_to(quaternion, (n, 4)))
+        if not self.massless:
+            y[:, 7:] = 0.0
+            free = np.stack([np.broadcast_to(u, (n,)) for u in self._driven(t, y.T)], axis=-1)
+            v, omega = np.array(free[:, :3]), np.array(free[:, 3:])
+            if velocity is not None:
+                v[:] = np.asarray(velocity, dtype=np.float64)
+            if angular_velocity is not None:
+                omega[:] = np.asarray(angular_velocity, dtype=np.float64)
+            y[:, 7:10] = v
+            y[:, 10:13] = rotation.to_body(y[:, 3:7], omega)
+        return y
+
+    def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
+        """V and Omega (space frame), each (n_bodies, 3), in the states y (n_bodies, n_state)."""
+        if self.massless:
+            driven = self._driven(t, y.T)
+            motion = np.stack([np.broadcast_to(u, (self.n_bodies,)) for u in driven], axis=-1)
+            v, omega = motion[:, :3], motion[:, 3:]
+        else:
+            v = y[:, 7:10]
+            omega = rotation.to_space(rotation.normalize(y[:, 3:7]), y[:, 10:13])
+        prescribed = self.constraints
+        return (
+            v if prescribed.velocity is None else self._vectors(prescribed.velocity, t),
+            omega
+            if prescribed.angular_velocity is None
+            else self._vectors(prescribed.angular_velocity, t),
+        )
+
+    def force_torque(self, t: float, y: Array) -> tuple[Array, Array]:
+        """Hydrodynamic force and torque ON the bodies (space frame), each (n_bodies, 3).
+
+        F = R_t (U - V) and M = R_r (Omega - W); external loads are not part of them.
+        """
+        q = rotation.normalize(y[:, 3:7])
+        v, omega = self.velocities(t, y)
+        if isinstance(self._provider, ForceTorque):
+            return self._provider.force_torque(t, y[:, 0:3], q, v, omega)
+        free = self._free(t, self._rows(y.T))
+        motion = np.stack([np.broadcast_to(u, (self.n_bodies,)) for u in free], axis=-1)
+        d = rotation.axis(q)
+        rt, ra, st, sa = self._resistance
+
+        def drag(slip: Array, transverse: float, axial: float) -> Array:
+            along = np.sum(slip * d, axis=-1, keepdims=True) * d
+            return np.asarray(transverse * slip + (axial - transverse) * along)
+
+        return drag(motion[:, :3] - v, rt, ra), drag(motion[:, 3:] - omega, st, sa)
+
+    # -- pieces -----------------------------------------------------------------------------
+
+    @property
+    def _unconstrained(self) -> bool:
+        return self.constraints.velocity is None and self.constraints.angular_velocity is None
+
+    def _rows(self, y: Array) -> Any:
+        """Numbers of the one body (plain arithmetic is fastest on floats), or rows."""
+        return y[:, 0].tolist() if self.n_bodies == 1 else y
+
+    def _vectors(self, vectors: Vectors, t: float) -> Array:
+        value = vectors(t) if callable(vectors) else vectors
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.n_bodies, 3))
+
+    def _fill_loads(self, t: float) -> None:
+        assert self._loads is not None
+        for index, field in enumerate(_load_fields(self._loads)):
+            self._load_rows[3 * index : 3 * index + 3] = self._vectors(field, t).T
+
+    def _loads_at(self, t: float) -> Array:
+        if not self._steady_loads:
+            self._fill_loads(t)
+        return self._load_rows
+
+    def _polynomial_rate(self, t: float, rows: Any) -> Any:
+        """The kernels in one piece: polynomial flow, no constraints."""
+        loaded = self._loads is not None
+        loads = self._rows(self._loads_at(t)) if loaded else None
+        arguments: list[Any] = [*rows, self._flow, self._law, loaded, self._mobility, loads]
+        if self.massless:
+            return kernels.massless(*arguments)
+        arguments += [self._rows(self._rates), self._gyration]
+        return kernels.inertial(*arguments)
+
+    def _free(self, t: float, rows: Any) -> Any:
+        """Free motion, six numbers or rows."""
+        if self._table is not None:
+            d = kernels.symmetry_axis(*rows[3:7])
+            arguments: list[Any] = [*rows[0:3], *d, self._flow, self._law]
+            return kernels.free_motion(*arguments)
+        assert self._provider is not None
+        y = np.stack([np.atleast_1d(row) for row in rows[0:7]], axis=-1)
+        u, omega = self._provider.free_motion(t, y[:, :3], rotation.normalize(y[:, 3:]))
+        return tuple(self._rows(np.concatenate([u, omega], axis=1).T))
+
+    def _motion(self, t: float, rows: Any) -> Any:
+        """What replaces the free motion in `_rate`, without the loads.
+
+        With a provider of forces it is V + R^-1 F, which makes the drag formula return F.
+        """
+        if self.massless or not isinstance(self._provider, ForceTorque):
+            return self._free(t, rows)
+        y = np.stack([np.atleast_1d(row) for row in rows], axis=-1)
+        q = rotation.normalize(y[:, 3:7])
+        v, omega = self.velocities(t, y)
+        force, torque = self._provider.force_torque(t, y[:, 0:3], q, v, omega)
+        zero = np.zeros((3, self.n_bodies))
+        pushed = kernels.driven_motion(
+            tuple(self._rows(np.concatenate([v, omega], axis=1).T)),
+            kernels.body_axes(*rows[3:7]),
+            self._mobility,
+            self._rows(np.concatenate([force.T, zero, torque.T, zero])),
+        )
+        return pushed
+
+    def _driven(self, t: float, y: Array) -> Any:
+        """Motion without net force and torque, loads included, in states y (n_state, n)."""
+        rows = self._rows(y)
+        motion = self._free(t, rows)
+        if self._loads is None:
+            return motion
+        axes = kernels.body_axes(*rows[3:7])
+        return kernels.driven_motion(motion, axes, self._mobility, self._rows(self._loads_at(t)))
+
+    def _rate(self, t: float, rows: Any, motion: Any) -> Any:
+        """dy/dt from the motion that drag pulls to, with loads and constraints."""
+        axes = kernels.body_axes(*rows[3:7])
+        if self._loads is not None:
+            loads = self._rows(self._loads_at(t))
+            motion = kernels.driven_motion(motion, axes, self._mobility, loads)
+        velocity, spin = self.constraints.velocity, self.constraints.angular_velocity
+        v = None if velocity is None else tuple(self._rows(self._vectors(velocity, t).T))
+        omega = None if spin is None else tuple(self._rows(self._vectors(spin, t).T))
+        if self.massless:
+            turn = omega if omega is not None else motion[3:6]
+            move = v if v is not None else motion[0:3]
+            return (*move, *kernels.quaternion_rate_space(*rows[3:7], *turn))
+        coefficients: list[Any] = [motion, axes, self._rows(self._rates), self._gyration]
+        pull = kernels.accelerations(*rows[7:13], *coefficients)
+        still = (0.0, 0.0, 0.0)
+        return (
+            *(rows[7:10] if v is None else v),
+            *(
+                kernels.quaternion_rate_body(*rows[3:7], *rows[10:13])
+                if omega is None
+                else kernels.quaternion_rate_space(*rows[3:7], *omega)
+            ),
+            *(pull[0:3] if v is None else still),
+            *(pull[3:6] if omega is None else still),
+        )
+
+    def _slopes(self, columns: list[Any]) -> Array:
+        """(n, n_state, columns) from the values of complex steps, columns first."""
+        rows = [np.broadcast_arrays(*column) if self.n_bodies > 1 else column for column in columns]
+        values = np.imag(np.array(rows)).reshape(len(columns), self.n_state, self.n_bodies)
+        return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / kernels.STEP)
+
+    def _motion_slopes(self, t: float, y: Array) -> Array:
+        """d(U, Omega)/d(x, q) of a provider, (n, 6, 7), by central differences in one call."""
+        assert self._provider is not None
+        step = 1e-5
+        states = y[:7].T
+        moved = np.repeat(states[None], 14, axis=0)
+        for j in range(7):
+            moved[2 * j, :, j] += step
+            moved[2 * j + 1, :, j] -= step
+        flat = moved.reshape(-1, 7)
+        u, omega = self._provider.free_motion(t, flat[:, :3], rotation.normalize(flat[:, 3:]))
+        motion = np.concatenate([u, omega], axis=1).reshape(7, 2, self.n_bodies, 6)
+        return np.asarray(np.moveaxis((motion[:, 0] - motion[:, 1]) / (2.0 * step), 0, -1))
+
+
+def _load_fields(loads: Loads) -> tuple[Vectors, Vectors, Vectors, Vectors]:
+    """The loads in the order of the kernels."""
+    return loads.force, loads.body_force, loads.torque, loads.body_torque
+
+
+def pack_table(flow: PolynomialFlow, model: BodyModel) -> Array:
+    """Flow and Faxen coefficients as the kernels' table, (71,): see `kernels.tables`."""
+    second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
+    third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
+    law = model.faxen
+    return np.concatenate(
+        [
+            [max(flow.degree or 0, 1)],
+            flow.value,
+            flow.gradient_tensor.ravel(),
+            second,
+            third,
+            [law.linear],
+            law.quadratic,
+            law.cubic,
+        ]
+    )
