@@ -488,3 +488,13 @@ def test_errors_lead_to_the_key_at_fault(spec, key):
     with pytest.raises(FlowError) as caught:
         build_flow(spec)
     assert caught.value.key == key
+
+
+def test_stokeslets_near_bodies_of_any_size_pass_the_check_as_user_functions_too():
+    rng = np.random.default_rng(9)
+    for size in 10 ** rng.uniform(0.0, 1.7, 15):
+        place = rng.normal(size=3)
+        place *= size * rng.uniform(1.5, 5.0) / np.linalg.norm(place)
+        stokeslet = Stokeslet(rng.normal(size=3), place)
+        assert check_stokesian(stokeslet, radius=2 * size).vorticity_of_laplacian < 1e-8
+        check_stokesian(UserFlow(stokeslet.velocity, singular_points=place), radius=2 * size)

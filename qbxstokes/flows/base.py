@@ -57,21 +57,23 @@ class Flow(ABC):
         stress: Array = gradient + np.swapaxes(gradient, -1, -2)
         return stress - self.pressure(x, t)[..., None, None] * np.eye(3)
 
-    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
         """Curl of the Laplacian, shape (..., 3); zero if and only if a pressure exists.
 
-        By extrapolated central differences of `laplacian`; a subclass overrides it where it
-        knows better.
+        By extrapolated central differences of `laplacian`, with steps up to a fifth of `reach`
+        (the flow's own length if not given); a subclass overrides it where it knows better.
         """
         from qbxstokes.flows.differences import gradient_of
 
         points = np.asarray(x, dtype=float)
-        steps = self.difference_step(points)
+        steps = self.difference_step(points, reach)
         return curl(gradient_of(lambda y: self.laplacian(y, t), points, steps))
 
-    def difference_step(self, x: Array) -> Array:
+    def difference_step(self, x: Array, reach: float | None = None) -> Array:
         """Largest step, shape (...), for differences at x: kept clear of the singular points."""
-        step = np.full(x.shape[:-1], 0.2 * self.length)
+        step = np.full(x.shape[:-1], 0.2 * (self.length if reach is None else reach))
         if len(self.singular_points):
             separation = np.linalg.norm(x[..., None, :] - self.singular_points, axis=-1)
             step = np.minimum(step, 0.2 * separation.min(axis=-1))

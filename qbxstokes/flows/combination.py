@@ -85,9 +85,11 @@ class SumFlow(Flow):
         """Pressure (...)."""
         return self._total([flow.pressure(x, t) for flow in self.terms])
 
-    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
         """Curl of the Laplacian (..., 3)."""
-        return self._total([flow.vorticity_of_laplacian(x, t) for flow in self.terms])
+        return self._total([flow.vorticity_of_laplacian(x, t, reach) for flow in self.terms])
 
     @staticmethod
     def _total(parts: list[Array]) -> Array:
@@ -191,9 +193,11 @@ class TransformedFlow(Flow):
         """Pressure (...)."""
         return self.factor * self.flow.pressure(self._inner(x), t)
 
-    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
         """Curl of the Laplacian (..., 3)."""
-        return self._turn_vector(self.flow.vorticity_of_laplacian(self._inner(x), t))
+        return self._turn_vector(self.flow.vorticity_of_laplacian(self._inner(x), t, reach))
 
     @property
     def steady(self) -> bool:

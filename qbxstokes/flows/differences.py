@@ -15,7 +15,7 @@ import numpy as np
 
 from qbxstokes.flows.base import Array
 
-LEVELS = 6
+LEVELS = 8
 
 Field = Callable[[Array], Array]
 
@@ -37,6 +37,7 @@ def extrapolate(estimate: Callable[[Array], Array], step: Array) -> Array:
                 np.abs(row[order] - row[order - 1]), np.abs(row[order] - previous[order - 1])
             )
             change = change.reshape(*step.shape, -1).max(axis=-1)
+            change = np.where(np.isnan(change), np.inf, change)
             if best is None or best_error is None:
                 best, best_error = row[order], change
             else:

@@ -249,7 +249,9 @@ class PolynomialFlow(Flow):
         result: Array = np.sum(points * mean, axis=-1)
         return result
 
-    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
         """Curl of the Laplacian, a constant of the cubic terms, shape (..., 3)."""
         constant = curl(np.einsum("ijkk->ij", self.third))
         return np.broadcast_to(constant, np.shape(x)).copy()

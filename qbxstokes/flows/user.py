@@ -93,10 +93,12 @@ class UserFlow(Flow):
         points = np.asarray(x, dtype=float)
         return laplacian_of(lambda y: self.velocity(y, t), points, self.difference_step(points))
 
-    def vorticity_of_laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
         """Curl of the Laplacian (..., 3) by extrapolated differences of the velocity."""
         points = np.asarray(x, dtype=float)
-        steps = self.difference_step(points)
+        steps = self.difference_step(points, reach)
         return curl(laplacian_gradient_of(lambda y: self.velocity(y, t), points, steps))
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
