@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import combinations_with_replacement, permutations
 
 import numpy as np
@@ -127,7 +127,7 @@ class ModalFunctional:
 
     def on_grid(self, n_phi: int) -> GridFunctional:
         """The functional on the surface grid with n_phi >= 3 azimuthal nodes."""
-        grid = SurfaceGrid(self.grid.spheroid, self.grid.n_theta, n_phi)
+        grid = replace(self.grid, n_phi=n_phi)
         rows = []
         for name, factors in (
             ("translation_transverse", (1.0, -1j)),

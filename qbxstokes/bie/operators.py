@@ -134,7 +134,7 @@ def surface_operators(
     rows: the result of `layer_rows` for all independent rows, where these were formed elsewhere;
     with the spread completion it must hold the single layer.
     """
-    grid = SurfaceGrid(spheroid, scheme.n_theta, n_phi)
+    grid = scheme.grid(spheroid, n_phi)
     n_modes = n_phi // 2 + 1
     if rows is None:
         wanted = independent_rows(scheme.n_theta)

@@ -1,0 +1,1 @@
+"""Spheroids, their surface grids, and rotations."""

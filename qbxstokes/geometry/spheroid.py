@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import CaseError
 
 Array = NDArray[np.float64]
+PolarNodes = Literal["cosine", "theta"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Spheroid:
     def q(self, theta: ArrayLike) -> Array:
         """Length |dx/dtheta| = sqrt(sin^2 + k^2 cos^2), shape of theta."""
         theta = np.asarray(theta, dtype=float)
-        return np.hypot(np.sin(theta), self.aspect_ratio * np.cos(theta))
+        return np.asarray(np.hypot(np.sin(theta), self.aspect_ratio * np.cos(theta)))
 
     def surface(self, theta: ArrayLike, phi: ArrayLike) -> Array:
         """Points (..., 3) of the surface at the broadcast angles."""
@@ -72,9 +74,7 @@ class Spheroid:
         """Outward unit normals (..., 3) at the broadcast angles."""
         theta, phi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
         s = np.sin(theta)
-        n = np.stack(
-            [s * np.cos(phi), s * np.sin(phi), self.aspect_ratio * np.cos(theta)], axis=-1
-        )
+        n = np.stack([s * np.cos(phi), s * np.sin(phi), self.aspect_ratio * np.cos(theta)], axis=-1)
         return np.asarray(n / self.q(theta)[..., None])
 
     def area_element(self, theta: ArrayLike) -> Array:
@@ -94,19 +94,26 @@ class Spheroid:
 
 @dataclass(frozen=True)
 class SurfaceGrid:
-    """Gauss-Legendre nodes in theta on [0, pi] times equispaced phi (Bagge 2015, sec. 5.1).
+    """Polar nodes times equispaced azimuthal nodes; point index i_theta * n_phi + j_phi.
 
-    Point index i_theta * n_phi + j_phi; N = n_theta * n_phi.
+    The polar nodes are Gauss-Legendre in cos(theta), which with interpolation in cos(theta) holds
+    polynomial densities exactly, or Gauss-Legendre in theta on [0, pi] (Bagge 2015, sec. 5.1).
     """
 
     spheroid: Spheroid
     n_theta: int
     n_phi: int
+    nodes: PolarNodes = "cosine"
 
     @cached_property
-    def _gauss(self) -> tuple[Array, Array]:
+    def _gauss(self) -> tuple[Array, Array, Array]:
         x, w = np.polynomial.legendre.leggauss(self.n_theta)
-        return np.pi * (x + 1.0) / 2.0, np.pi / 2.0 * w
+        barycentric = (-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w)
+        if self.nodes == "cosine":
+            # arctan2 keeps the nodes symmetric and accurate near the poles.
+            s = np.sqrt((1.0 - x) * (1.0 + x))
+            return np.arctan2(s, -x), w / s, barycentric
+        return np.pi * (x + 1.0) / 2.0, np.pi / 2.0 * w, barycentric
 
     @property
     def theta(self) -> Array:
@@ -115,8 +122,13 @@ class SurfaceGrid:
 
     @property
     def theta_weights(self) -> Array:
-        """Gauss-Legendre weights (n_theta,) on [0, pi]."""
+        """Weights (n_theta,) of the polar nodes with respect to d theta."""
         return self._gauss[1]
+
+    @property
+    def barycentric(self) -> Array:
+        """Barycentric interpolation weights (n_theta,) of the polar nodes."""
+        return self._gauss[2]
 
     @cached_property
     def phi(self) -> Array:

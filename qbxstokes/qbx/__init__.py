@@ -1,0 +1,1 @@
+"""Quadrature by expansion: kernels, source panels, azimuthal modes, layer operators."""

@@ -5,8 +5,8 @@ centre into a modified kernel of cost O(p) (Siegel & Tornberg 2018, J. Comput. P
 for the Laplace and Stokes layers; Tornberg & Greengard 2008 for the harmonic form used here).
 
 With x (target) and y (source) relative to the centre, rho = |x|/|y|, t = cos of the angle between
-them, S_p = sum_{l<=p} |x|^l P_l(t) / |y|^(l+1), g = grad_y S_p and H = grad_x grad_y S_p, the double
-layer kernel (T_ijk n_k as p -> infinity) is
+them, S_p = sum_{l<=p} |x|^l P_l(t) / |y|^(l+1), g = grad_y S_p and H = grad_x grad_y S_p, the
+double layer kernel (T_ijk n_k as p -> infinity) is
 
     K_ij = (H n)_i r_j + (r.n) H_ij - (g.n) delta_ij - n_i g_j,      r = x - y,
 
@@ -85,6 +85,7 @@ def target_row(  # type: ignore[no-untyped-def]
     phi_weights,
     grid_theta,
     barycentric,
+    cosine,
     n_modes,
     with_single,
     row_double,
@@ -101,7 +102,11 @@ def target_row(  # type: ignore[no-untyped-def]
 
     side is +1 for an outer, -1 for an inner centre; the expansion has the given order and radius.
     Source rule: node i in theta has azimuthal nodes phi_start[i]:phi_stop[i] on [0, pi], their
-    weights counting both halves. barycentric are the weights of interpolation from grid_theta.
+    weights counting both halves.
+
+    barycentric are the weights of the interpolation from grid_theta: of polynomials in theta, or,
+    with cosine, of polynomials in cos(theta), times sin(theta) for the components and modes of a
+    smooth field that are odd across the pole. The latter is exact for polynomial densities.
     """
     k = aspect_ratio
     n_theta = grid_theta.size
@@ -124,7 +129,8 @@ def target_row(  # type: ignore[no-untyped-def]
     sin_phi = np.empty(longest)
     kernel = np.empty((9, longest))
     layer = np.empty((9, longest))
-    interpolation = np.empty(n_theta)
+    even = np.empty(n_theta)
+    odd = np.empty(n_theta)
     cos_m = np.empty(longest)
     sin_m = np.empty(longest)
 
@@ -248,30 +254,32 @@ def target_row(  # type: ignore[no-untyped-def]
         total = 0.0
         for jt in range(n_theta):
             delta = theta - grid_theta[jt]
+            if cosine:
+                delta = math.sin(0.5 * (theta + grid_theta[jt])) * math.sin(0.5 * delta)
             if delta == 0.0:
                 exact = jt
             else:
-                interpolation[jt] = barycentric[jt] / delta
-                total += interpolation[jt]
+                even[jt] = barycentric[jt] / delta
+                total += even[jt]
         if exact >= 0:
             for jt in range(n_theta):
-                interpolation[jt] = 0.0
-            interpolation[exact] = 1.0
+                even[jt] = 0.0
+            even[exact] = 1.0
             total = 1.0
         for jt in range(n_theta):
-            interpolation[jt] *= theta_weights[i] / total
+            even[jt] *= theta_weights[i] / total
+            odd[jt] = even[jt] * (s / math.sin(grid_theta[jt])) if cosine else even[jt]
 
         for j in range(n):
             cos_m[j] = 1.0
             sin_m[j] = 0.0
         for m in range(n_modes):
-            accumulate_mode(kernel, n, cos_m, sin_m, interpolation, row_double[m])
+            # Parity across the pole: (-1)^m for the z component, the opposite for the others.
+            along, across = (even, odd) if m % 2 == 0 else (odd, even)
+            accumulate_mode(kernel, n, cos_m, sin_m, across, along, 1.0, row_double[m])
             if with_single:
-                for jt in range(n_theta):
-                    interpolation[jt] *= s / (8.0 * math.pi)
-                accumulate_mode(layer, n, cos_m, sin_m, interpolation, row_single[m])
-                for jt in range(n_theta):
-                    interpolation[jt] /= s / (8.0 * math.pi)
+                scale = s / (8.0 * math.pi)
+                accumulate_mode(layer, n, cos_m, sin_m, across, along, scale, row_single[m])
             for j in range(n):
                 cm = cos_m[j]
                 cos_m[j] = cm * cos_phi[j] - sin_m[j] * sin_phi[j]
@@ -279,11 +287,12 @@ def target_row(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
-def accumulate_mode(kernel, n, cos_m, sin_m, interpolation, row):  # type: ignore[no-untyped-def]
+def accumulate_mode(kernel, n, cos_m, sin_m, across, along, scale, row):  # type: ignore[no-untyped-def]
     """Add one theta node's azimuthal Fourier sums of a 3 x 3 kernel to row (3, 3, n_theta).
 
     Entries even in phi meet the cosine, the four odd ones (one index phi) the sine, with the sign
-    that the factor i of the phi component gives.
+    that the factor i of the phi component gives. along interpolates the z component of the density,
+    across the other two.
     """
     for a in range(3):
         for b in range(3):
@@ -297,5 +306,7 @@ def accumulate_mode(kernel, n, cos_m, sin_m, interpolation, row):  # type: ignor
             else:
                 for j in range(n):
                     total += kernel[3 * a + b, j] * sin_m[j]
+            total *= scale
+            interpolation = along if b == 2 else across
             for jt in range(interpolation.size):
                 row[a, b, jt] += total * interpolation[jt]

@@ -30,7 +30,7 @@ class GradedScheme:
     plus the jump.
     """
 
-    n_theta: int = 20
+    n_theta: int = 10
     expansion_order: int = 16
     radius_factor: float = 0.1
     panel_order: int = 18
@@ -43,6 +43,10 @@ class GradedScheme:
         _require(self.n_theta >= 2, "n_theta", self.n_theta, ">= 2")
         _require(self.panel_order >= 2, "panel_order", self.panel_order, ">= 2")
         _require(self.panel_ratio > 0.0, "panel_ratio", self.panel_ratio, "positive")
+
+    def grid(self, spheroid: Spheroid, n_phi: int) -> SurfaceGrid:
+        """The surface grid that carries the density."""
+        return SurfaceGrid(spheroid, self.n_theta, n_phi)
 
     def radius(self, spheroid: Spheroid, theta: float) -> float:
         """Expansion radius at theta, in c."""
@@ -89,6 +93,10 @@ class UniformScheme:
         _require(self.n_theta >= 2, "n_theta", self.n_theta, ">= 2")
         _require(self.n_phi >= 3, "n_phi", self.n_phi, ">= 3")
         _require(self.upsampling >= 1, "upsampling", self.upsampling, ">= 1")
+
+    def grid(self, spheroid: Spheroid, n_phi: int) -> SurfaceGrid:
+        """The surface grid that carries the density: Gauss-Legendre in theta."""
+        return SurfaceGrid(spheroid, self.n_theta, n_phi, "theta")
 
     def radius(self, spheroid: Spheroid, theta: float) -> float:
         """The global expansion radius; CaseError if its ball crosses the surface anywhere.
@@ -146,9 +154,7 @@ def layer_rows(
     """
     from qbxstokes.qbx.kernel import target_row
 
-    grid = SurfaceGrid(spheroid, scheme.n_theta, 1)
-    x, w = np.polynomial.legendre.leggauss(scheme.n_theta)
-    barycentric = (-1.0) ** np.arange(scheme.n_theta) * np.sqrt((1.0 - x * x) * w)
+    grid = scheme.grid(spheroid, 1)
     sides = {"average": (1, -1), "inner": (-1,), "outer": (1,)}[scheme.side]
     shape = (len(rows), n_modes, 3, 3, scheme.n_theta)
     double = np.zeros(shape)
@@ -164,7 +170,8 @@ def layer_rows(
                 scheme.expansion_order,
                 *scheme.rule(spheroid, theta, side, n_modes),
                 grid.theta,
-                barycentric,
+                grid.barycentric,
+                grid.nodes == "cosine",
                 n_modes,
                 with_single,
                 double[index],

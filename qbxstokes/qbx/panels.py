@@ -8,9 +8,11 @@ both halves of the circle.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 MAX_DEPTH = 60
 
@@ -98,7 +100,7 @@ def graded_rule(aspect_ratio, theta_target, side, radius, ratio, max_theta, max_
     return theta_nodes, theta_weights, phi_start, phi_stop, phi_nodes, phi_weights
 
 
-def uniform_rule(n_theta, n_phi):  # type: ignore[no-untyped-def]
+def uniform_rule(n_theta: int, n_phi: int) -> tuple[NDArray[Any], ...]:
     """Gauss-Legendre in theta and trapezoid in phi on the upsampled grid (Bagge 2015, 5.3.3).
 
     The trapezoid rule over the whole circle is folded onto [0, pi] by the mirror symmetry of the
