@@ -129,7 +129,7 @@ from_distribution() {
 }
 
 from_source() {
-    local python mpi=() pip=("$venv/bin/python" -m pip install --progress-bar off)
+    local python tool mpi=() pip=("$venv/bin/python" -m pip install --progress-bar off)
     for python in python3 python3.{14,13,12,11} /usr/bin/python3; do
         suitable "$python" venv ensurepip && "$python" -c 'import os, sysconfig as s
 raise SystemExit(not os.path.exists(s.get_path("include") + "/Python.h"))' && break
@@ -182,7 +182,7 @@ install() {
         elif [[ ${QBXSTOKES_ROUTE:-source} == source ]]; then
             from_source
         else
-            die "the distribution route is not possible here"
+            die "QBXSTOKES_ROUTE=$QBXSTOKES_ROUTE is not possible here"
         fi
     fi
     step "installing Python packages into $venv" \
