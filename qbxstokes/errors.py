@@ -9,6 +9,8 @@ class QbxStokesError(Exception):
     """Base class; a run that meets one ends with `exit_status` and the message alone."""
 
     exit_status = 1
+    # Whether every rank raises it, so that one telling is enough and all leave by themselves.
+    on_all_ranks = False
 
 
 class CaseError(QbxStokesError):

@@ -129,8 +129,11 @@ FAULTS = {
     "zero tolerance": ("1e-6", "0", r":8: time.tolerance: is 0; must be > 0"),
     "unknown choice": ("start:", "hydrodynamics: {solve: everystep}\nstart:",
                        r":4: hydrodynamics.solve: .*did you mean every_step\?"),
-    "forbidden radius": ("start:", "hydrodynamics: {scheme: uniform, n_theta: 20, r_over_h: 2}\n"
-                         "start:", r":4: hydrodynamics.r_over_h: .*k\^2 = 0.25; r_over_h below"),
+    "forbidden radius": ("start:", "hydrodynamics: {scheme: uniform, n_theta: 20, n_phi: 20, "
+                         "expansion_order: 8, upsampling: 4, r_over_h: 2}\nstart:",
+                         r":4: hydrodynamics.r_over_h: .*k\^2 = 0.25; r_over_h <= 0.79"),
+    "uniform without numbers": ("start:", "hydrodynamics: {scheme: uniform}\nstart:",
+                                r":4: hydrodynamics.n_theta: is missing"),
     "foreign scheme": ("start:", "hydrodynamics: {upsampling: 4}\nstart:",
                        r":4: hydrodynamics.upsampling: .*scheme: graded"),
     "nested option": ("start:", "petsc: {ts_type: [rk]}\nstart:", r":4: petsc.ts_type: is a list"),

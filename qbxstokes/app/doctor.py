@@ -44,13 +44,6 @@ def examine() -> list[Finding]:
     return findings
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything a result depends on."""
-    names = ("numpy", "h5py", "mpi4py", "petsc4py")
-    found = {name: getattr(importlib.import_module(name), "__version__", "?") for name in names}
-    return {"qbxstokes": __version__, "python": platform.python_version(), **found}
-
-
 def _package(name: str, use: str = "", distribution: str = "") -> Finding:
     try:
         module = importlib.import_module(name)

@@ -39,10 +39,10 @@ def on_root(comm: Any, action: Callable[[], T]) -> T:
         while not arrived.Test():
             time.sleep(_POLL)
         outcome = comm.bcast(outcome)
-    value, error = outcome
-    if error is not None:
-        error.shared = True  # type: ignore[attr-defined]
-        raise error
+    value, failure = outcome
+    if failure is not None:
+        failure.on_all_ranks = True
+        raise failure
     return value
 
 
@@ -55,7 +55,7 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
     try:
         return action()
     except QbxStokesError as error:
-        if comm.size == 1 or getattr(error, "shared", False):
+        if comm.size == 1 or error.on_all_ranks:
             if comm.rank == 0:
                 tell(error)
             return error.exit_status

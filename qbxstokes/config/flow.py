@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from pydantic import ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from qbxstokes.config.base import Section, Text, to_angle
+from qbxstokes.config.base import Section, Text, to_angle, to_number
 
 
 class FlowSection(Section):
@@ -20,19 +21,26 @@ class FlowSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _angles(cls, data: Any) -> Any:
-        """Angles may be written as '90 deg' in the flow's keys as elsewhere."""
-        return _with_radians(data)
+    def _numbers(cls, data: Any) -> Any:
+        """Numbers and angles may be written as '1/6' and '90 deg' here as elsewhere."""
+        return _with_numbers(data)
 
     def spec(self) -> dict[str, Any]:
         """The plain dictionary from which the flow is built."""
         return {"type": self.type, **(self.model_extra or {})}
 
 
-def _with_radians(value: Any) -> Any:
+def _with_numbers(value: Any, key: str = "") -> Any:
+    """`value` with arithmetic in strings evaluated; words stay as they are."""
     if isinstance(value, dict):
-        return {
-            key: to_angle(entry) if key == "angle" else _with_radians(entry)
-            for key, entry in value.items()
-        }
-    return [_with_radians(entry) for entry in value] if isinstance(value, list) else value
+        return {name: _with_numbers(entry, name) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_with_numbers(entry) for entry in value]
+    if key == "angle":
+        return to_angle(value)
+    if isinstance(value, str) and key != "type":
+        try:
+            return to_number(value)
+        except PydanticCustomError:
+            return value
+    return value

@@ -74,4 +74,8 @@ class Hydrodynamics(Section):
                     f"leave it out or set scheme: {other}",
                     (name,),
                 )
+        if self.scheme == "uniform":
+            for name in ("n_theta", "n_phi", "expansion_order", *UNIFORM_KEYS):
+                if getattr(self, name) is None:
+                    raise problem("is missing", "scheme: uniform needs it explicitly", (name,))
         return self

@@ -81,7 +81,7 @@ class Case(Section):
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.
 
-        r = 2 pi (r/h) / n_theta must stay below the least of k q, q / k and q^3 / k over the
+        r = 2 pi (r/h) / n_theta must not exceed the least of k q, q / k and q^3 / k over the
         surface: min(k^2, 1) min(1, 1/k) = k^2 for k <= 1 and 1/k for k > 1.
         """
         scheme = self.hydrodynamics
@@ -90,11 +90,11 @@ class Case(Section):
         k = self.body.aspect_ratio
         limit = k * k if k <= 1 else 1 / k
         radius = 2 * math.pi * scheme.r_over_h / scheme.n_theta
-        if radius >= limit:
+        if radius > limit:
             formula = "k^2" if k <= 1 else "1/k"
             raise problem(
                 f"r = 2 pi r_over_h / n_theta = {radius:.4g} leaves the admissible ball, "
-                f"r < {formula} = {limit:.4g}",
-                f"r_over_h below {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",
+                f"r <= {formula} = {limit:.4g}",
+                f"r_over_h <= {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",
                 ("hydrodynamics", "r_over_h"),
             )

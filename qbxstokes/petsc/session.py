@@ -28,6 +28,20 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
 
 
 def unused_options(PETSc: Any) -> list[str]:
-    """Names of the options that nothing has asked for."""
-    database = PETSc.Options()
-    return sorted(name for name in database.getAll() if not database.used(name))
+    """Names of the options that nothing has asked for.
+
+    petsc4py has no wrapper of PetscOptionsLeftGet in the versions that are supported, so the C
+    function is called in the library that petsc4py has loaded.
+    """
+    import ctypes
+
+    integer = ctypes.c_int64 if PETSc.IntType().dtype.itemsize == 8 else ctypes.c_int32
+    library = ctypes.CDLL(PETSc.__file__)
+    count = integer()
+    names, values = (ctypes.POINTER(ctypes.c_char_p)() for _ in range(2))
+    arguments = (None, ctypes.byref(count), ctypes.byref(names), ctypes.byref(values))
+    if library.PetscOptionsLeftGet(*arguments):
+        return []
+    found = sorted(names[index].decode() for index in range(count.value))
+    library.PetscOptionsLeftRestore(*arguments)
+    return found

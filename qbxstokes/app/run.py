@@ -1,0 +1,82 @@
+"""Run a case from its file to its result: read, plan, compute, compare, write, tell."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.app.clock import Clock
+from qbxstokes.app.parallel import guarded, on_root, world
+from qbxstokes.errors import ConvergenceError
+
+
+def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:
+    """Run one case file on all ranks; returns the exit status."""
+    clock = Clock()
+    with clock.part("start MPI"):
+        comm = world()
+    return guarded(comm, lambda: _run(comm, path, options, petsc, clock))
+
+
+def _run(
+    comm: Any, path: Path, options: argparse.Namespace, petsc: Sequence[str], clock: Clock
+) -> int:
+    with clock.part("import"):
+        from qbxstokes.app.plan import make_plan
+        from qbxstokes.app.summary import explain, plan_facts, summary_text
+        from qbxstokes.config.load import from_document, load_case
+
+    def read() -> Any:
+        loaded = load_case(path, options.set)
+        return loaded.document, make_plan(loaded, options.overwrite)
+
+    with clock.part("read and plan"):
+        document, plan = on_root(comm, read)
+        loaded = from_document(document, path)
+    speak = comm.rank == 0 and not (options.quiet or options.json)
+    if speak and (options.explain or options.dry_run):
+        print(explain(loaded, plan))
+    if options.dry_run:
+        if comm.rank == 0 and options.json:
+            print(json.dumps({"case": str(path), "plan": plan_facts(plan)}, indent=2))
+        return 0
+    with clock.part("start PETSc"):
+        from qbxstokes.petsc import session
+
+        PETSc = session.start(petsc, loaded.case.petsc)
+
+    with clock.part("import"):
+        from qbxstokes.app.motion import run_motion
+        from qbxstokes.app.provenance import provenance
+
+    # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
+    # ranks gives the numbers of one.
+    def compute() -> dict[str, Any]:
+        record = provenance(loaded, PETSc, comm.size, petsc)
+        return run_motion(loaded, plan, clock, record, options.overwrite)
+
+    summary = on_root(comm, compute)
+    if comm.rank == 0:
+        summary["unused_petsc_options"] = session.unused_options(PETSc)
+        if options.json:
+            from qbxstokes.app.report import plain
+
+            print(json.dumps(plain(summary), indent=2))
+        elif speak:
+            print(summary_text(loaded, plan, summary))
+        for name in summary["unused_petsc_options"]:
+            print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
+    limit = loaded.case.compare.tolerance
+    if limit is not None and not summary["largest_error"] <= limit:
+        if comm.rank == 0:
+            print(
+                f"qbxstokes: largest error {summary['largest_error']:.1e} exceeds "
+                f"compare.tolerance {limit:g}",
+                file=sys.stderr,
+            )
+        return ConvergenceError.exit_status
+    return 0

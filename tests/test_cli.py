@@ -1,0 +1,237 @@
+"""The command line as a user meets it: exit statuses, one-line errors, options for PETSc."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, Run
+
+import qbxstokes
+from qbxstokes.app.cli import split_arguments
+from qbxstokes.app.plan import make_plan, rotation_period
+from qbxstokes.config.load import load_case
+from qbxstokes.errors import CaseError
+from qbxstokes.geometry import rotation
+
+WriteCase = Callable[..., Path]
+
+CASE: dict[str, Any] = {
+    "title": "A small run",
+    "body": {"aspect_ratio": 0.5},
+    "flow": {"type": "shear"},
+    "start": {"orientation": {"axis": [1, 1, 1]}},
+    "time": {"periods": 1, "samples": 21, "tolerance": 1e-10},
+}
+MASSIVE = CASE | {"body": {"aspect_ratio": 0.5, "stokes_number": 5}}
+
+
+def test_words_are_shared_out_between_us_and_petsc() -> None:
+    line = "case.yaml --set time.end=-3 -ts_monitor -ksp_rtol 1e-8 --quiet -offset -2.5 -log_view"
+    own, petsc = split_arguments(line.split())
+    assert own == ["case.yaml", "--set", "time.end=-3", "--quiet"]
+    assert petsc == ["-ts_monitor", "-ksp_rtol", "1e-8", "-offset", "-2.5", "-log_view"]
+    assert split_arguments(["-h"]) == (["--help"], [])
+    assert split_arguments(["-help"]) == ([], ["-help"])
+
+
+def test_version_and_help_fit_the_terminal(run_cli: Run) -> None:
+    assert run_cli("--version").stdout == f"qbxstokes {qbxstokes.__version__}\n"
+    done = run_cli("--help")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "name a case file"),
+        (["-ts_monitor"], "put the case file before"),
+        (["--nonsense"], "--nonsense"),
+        (["missing.yaml"], "missing.yaml: no such file"),
+        ([str(ROOT)], "is a directory"),
+        (["check"], "at least one case"),
+        (["check", "missing.yaml"], "missing.yaml: no such file"),
+        (["info", "missing.h5"], "missing.h5: no such file"),
+        (["info"], "one result file"),
+        (["new", "--task", "nothing"], "unknown; one of motion"),
+        (["one.yaml", "two.yaml"], "one case at a time"),
+    ],
+)
+def test_wrong_command_lines_end_in_one_line(
+    arguments: list[str], expected: str, run_cli: Run, tmp_path: Path
+) -> None:
+    done = run_cli(*arguments)
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+    assert not os.listdir(tmp_path)
+
+
+def test_bad_case_writes_nothing(run_cli: Run, write_case: WriteCase, tmp_path: Path) -> None:
+    path = write_case("body:\n  aspect_ratio: -2\nflow: {type: shear}\ntime: {end: 1}\n")
+    done = run_cli(path.name)
+    assert done.returncode == 2
+    assert done.stderr == "case.yaml:2: body.aspect_ratio: is -2; must be > 0\n"
+    assert os.listdir(tmp_path) == ["case.yaml"]
+
+
+def test_starter_case_checks(run_cli: Run) -> None:
+    assert run_cli("new", "mine.yaml").returncode == 0
+    assert run_cli("new", "mine.yaml").returncode == 2  # never over an existing file
+    assert run_cli("check", "mine.yaml").stdout == "mine.yaml: valid, task motion\n"
+
+
+def test_schema_is_json_and_table_is_markdown(run_cli: Run) -> None:
+    assert "properties" in json.loads(run_cli("schema").stdout)
+    assert run_cli("schema", "--table").stdout.startswith("| key | default | meaning |")
+
+
+@pytest.mark.parametrize("case", sorted((ROOT / "cases").glob("*.yaml")), ids=lambda p: p.name)
+def test_cases_are_valid_and_say_what_they_are(case: Path) -> None:
+    make_plan(load_case(case), overwrite=True)
+    text = case.read_text()
+    assert text.startswith("# yaml-language-server: $schema=../qbxstokes/config/")
+    for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
+        assert word in text
+
+
+def test_plan_refuses_what_the_schema_cannot_see(write_case: WriteCase) -> None:
+    faults = {
+        "time.periods: the flow's gradient": {"flow": {"type": "extension"}},
+        "output.fields[1]: 'axes' is not": {"output": {"fields": ["axis", "axes"]}},
+        "start.position: the flow is singular": {
+            "flow": {"type": "stokeslet", "strength": [1, 0, 0]}
+        },
+        "there is no directory": {"output": {"file": "nowhere/a.h5"}},
+    }
+    for expected, change in faults.items():
+        with pytest.raises(CaseError) as caught:
+            make_plan(load_case(write_case(CASE | change)))
+        assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize("k", [0.02, 0.5, 1.0, 3.0])
+def test_rotation_period_is_jefferys_in_any_frame(k: float) -> None:
+    shear = np.zeros((3, 3))
+    shear[0, 1] = 2.0
+    turn = rotation.matrix(rotation.random_quaternions(1, np.random.default_rng(1))[0])
+    for gradient in (shear, turn @ shear @ turn.T):
+        assert rotation_period(gradient, k) == pytest.approx(np.pi * (k + 1 / k), rel=1e-11)
+    assert rotation_period(shear + shear.T, k) is None
+    spin = shear - shear.T
+    assert rotation_period(spin, k) == pytest.approx(np.pi, rel=1e-14)
+
+
+def test_dry_run_and_explain_compute_nothing(
+    run_cli: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    done = run_cli(write_case(CASE).name, "--dry-run")
+    assert done.returncode == 0
+    assert "table on monomials" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert os.listdir(tmp_path) == ["case.yaml"]
+
+
+def test_run_writes_a_result_that_says_how_it_was_made(
+    run_cli: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    write_case(CASE)
+    done = run_cli("case.yaml", "--set", "output.file=a.h5", "-ts_max_steps", "100000", "-typo", 1)
+    assert done.returncode == 0, done.stderr
+    assert "PETSc option -typo was not used" in done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    for word in ("Solved", "Skipped", "Errors", "Times", "a.h5"):
+        assert word in done.stdout
+    result = qbxstokes.load(tmp_path / "a.h5")
+    np.testing.assert_allclose(result.axis[-1], result.axis[0], atol=1e-8)  # one whole period
+    np.testing.assert_allclose(np.linalg.norm(result.orientation, axis=1), 1.0, atol=1e-14)
+    assert result.summary["errors"]["axis, largest"] < 1e-8
+    assert json.loads(result.provenance["resolved_case"])["time"]["samples"] == 21
+    assert "output.file=a.h5" in result.provenance["overrides"]
+    told = run_cli("info", "a.h5").stdout
+    assert "aspect_ratio" in told
+    assert "orbit_constant" in told
+    assert json.loads(run_cli("info", "a.h5", "--json").stdout)["task"] == "motion"
+
+
+def test_existing_result_is_kept_and_said_so(run_cli: Run, write_case: WriteCase) -> None:
+    write_case(CASE)
+    first = json.loads(run_cli("case.yaml", "--json").stdout)
+    second = run_cli("case.yaml")
+    assert first["result"] == "case.h5"
+    assert "case-1.h5" in second.stdout
+    assert "case.h5 exists and was kept" in second.stdout
+    third = json.loads(run_cli("case.yaml", "--json", "--overwrite").stdout)
+    assert third["result"] == "case.h5"
+
+
+def test_accuracy_limit_decides_the_exit_status(run_cli: Run, write_case: WriteCase) -> None:
+    write_case(CASE | {"compare": {"tolerance": 1e-30}})
+    done = run_cli("case.yaml", "--quiet")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert "exceeds compare.tolerance" in done.stderr
+
+
+def test_every_step_equals_the_functional(run_cli: Run, write_case: WriteCase) -> None:
+    write_case(MASSIVE | {"time": {"end": 1, "samples": 3, "tolerance": 1e-8}})
+    ends = []
+    for solve in ("functional", "every_step"):
+        done = run_cli("case.yaml", "--json", "--set", f"hydrodynamics.solve={solve}")
+        assert done.returncode == 0, done.stderr
+        ends.append(json.loads(done.stdout)["final_orientation"])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_two_ranks_give_the_numbers_of_one(
+    run_cli: Run, mpirun: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    write_case(CASE)
+    assert run_cli("case.yaml", "--set", "output.file=one.h5").returncode == 0
+    done = mpirun(2, "case.yaml", "--set", "output.file=two.h5")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Solved") == 1
+    one, two = (qbxstokes.load(tmp_path / name) for name in ("one.h5", "two.h5"))
+    for name in one.names:
+        np.testing.assert_array_equal(one[name], two[name])
+    assert two.provenance["ranks"] == 2
+
+
+@pytest.mark.mpi
+def test_bad_case_on_two_ranks_is_told_once(mpirun: Run, write_case: WriteCase) -> None:
+    write_case(CASE | {"body": {"aspect_ratio": 0}})
+    done = mpirun(2, "case.yaml")
+    assert done.returncode == 2
+    assert done.stderr.count("body.aspect_ratio: is 0") == 1
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("error", ["QbxStokesError('the disk is full')", "ZeroDivisionError()"])
+def test_one_rank_failing_ends_the_job(mpirun: Run, error: str) -> None:
+    script = f"""
+import time
+from qbxstokes.app.parallel import guarded, world
+from qbxstokes.errors import QbxStokesError
+comm = world()
+def action():
+    if comm.rank == 1:
+        raise {error}
+    time.sleep(60)
+    return 0
+guarded(comm, action)
+"""
+    done = mpirun(2, script=script, timeout=20)
+    assert done.returncode == 1
+    assert "rank 1" in done.stderr
+    assert error.split("(")[0] in done.stderr or "the disk is full" in done.stderr
