@@ -34,5 +34,9 @@ class ConvergenceError(QbxStokesError):
     """A solver or integrator stopped before it reached the tolerance that was asked for."""
 
 
+class OutputError(QbxStokesError):
+    """A result could not be written: the disk is full, say."""
+
+
 class ResultFileError(CaseError):
     """A result file is missing, truncated, or was not written by this program."""

@@ -235,6 +235,13 @@ def test_bad_overrides(override: str, expected: str, write_case: WriteCase) -> N
     assert expected in str(caught.value)
 
 
+def test_arithmetic_and_angles_in_a_flow() -> None:
+    text = GOOD.replace("rate: 1.0", "rate: 1/6, rotation: {axis: [0, 0, 1], angle: 90 deg}")
+    spec = case_of(text).flow.spec()
+    assert spec["rate"] == 1 / 6
+    assert spec["rotation"]["angle"] == math.pi / 2
+
+
 def test_anchors_and_empty_sections_work(write_case: WriteCase) -> None:
     text = GOOD + "hydrodynamics:\n  # tolerance: 1e-8\noutput: {fields: &f [axis]}\n"
     case = load_case(write_case(text)).case

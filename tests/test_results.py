@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.io.results import MOTION_FIELDS, ResultWriter, load
@@ -77,6 +80,37 @@ def test_unwritable_targets_are_refused(tmp_path: Path) -> None:
         ResultWriter(tmp_path, "motion")
     with pytest.raises(CaseError, match="no directory"):
         ResultWriter(tmp_path / "nowhere" / "a.h5", "motion")
+
+
+def test_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
+    script = """
+import resource, signal, sys
+import numpy as np
+from pathlib import Path
+from qbxstokes.errors import OutputError
+from qbxstokes.io.results import ResultWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+try:
+    with ResultWriter(Path("a.h5"), "motion") as writer:
+        for start in range(100):
+            writer.append({"time": np.arange(1000.0), "axis": np.ones((1000, 3))})
+        writer.finish()
+except OutputError as error:
+    print(error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("a.h5: cannot be written")
+    assert len(done.stdout.splitlines()) == 1
+    assert not os.listdir(tmp_path)
 
 
 def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:

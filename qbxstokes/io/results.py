@@ -11,8 +11,10 @@ a file that carries the final name is a whole one.
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -21,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import CaseError, ResultFileError
+from qbxstokes.errors import CaseError, OutputError, ResultFileError
 
 if TYPE_CHECKING:
     import h5py
@@ -94,6 +96,42 @@ def check_writable(path: Path) -> None:
         raise CaseError(f"{path}: no permission to write in {folder.resolve()}; choose another")
 
 
+class _PatientFile(io.FileIO):
+    """A file that keeps the first failure of the system to itself until it is asked for.
+
+    HDF5 brings the process down when a write fails under it (a full disk); with this file it goes
+    on writing into nothing, and the writer looks at `failure` after each piece.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`, or note why that failed."""
+        view = memoryview(data).cast("B")
+        done = 0
+        try:
+            while self.failure is None and done < len(view):
+                done += super().write(view[done:])
+        except OSError as error:
+            self.failure = error
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill all of `buffer`, with zeros where there is nothing to read."""
+        view = memoryview(buffer).cast("B")
+        count = super().readinto(view) or 0
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length of the file, or note why that failed."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
+
+
 class ResultWriter:
     """A result file in the making; `finish` gives it its name, leaving without it removes it.
 
@@ -117,9 +155,10 @@ class ResultWriter:
         self.overwrite = overwrite
         self.temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            self.file: h5py.File = h5py.File(self.temporary, "w", libver=("v108", "v110"))
+            self.stream = _PatientFile(self.temporary, "w+")
         except OSError as error:
-            raise CaseError(f"{path}: cannot be created ({error})") from None
+            raise CaseError(f"{path}: cannot be created ({error.strerror})") from None
+        self.file: h5py.File = h5py.File(self.stream, "w", libver=("v108", "v110"))
         self.file.attrs.update(
             format=FORMAT, format_version=FORMAT_VERSION, task=task, conventions=CONVENTIONS
         )
@@ -130,16 +169,34 @@ class ResultWriter:
         block: Mapping[str, ArrayLike],
         fields: Mapping[str, Field] = MOTION_FIELDS,
     ) -> None:
-        """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time."""
-        times = np.asarray(block["time"], dtype=float)
-        scale = self._extended("time", times, TIME)
-        if "CLASS" not in scale.attrs:
-            scale.make_scale("time")
-        for name, values in block.items():
-            if name != "time":
-                data = self._extended(name, np.asarray(values, dtype=float), fields[name])
-                if not len(data.dims[0]):
-                    data.dims[0].attach_scale(scale)
+        """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
+
+        Raises OutputError if they cannot be stored.
+        """
+        with self._writing():
+            times = np.asarray(block["time"], dtype=float)
+            scale = self._extended("time", times, TIME)
+            if "CLASS" not in scale.attrs:
+                scale.make_scale("time")
+            for name, values in block.items():
+                if name != "time":
+                    data = self._extended(name, np.asarray(values, dtype=float), fields[name])
+                    if not len(data.dims[0]):
+                        data.dims[0].attach_scale(scale)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn what HDF5 and the system report into one OutputError."""
+        try:
+            yield
+            if self.file:
+                self.file.flush()
+            failure = self.stream.failure
+        except OSError as error:
+            failure = self.stream.failure or error
+        if failure is not None:
+            reason = failure.strerror or str(failure)
+            raise OutputError(f"{self.path}: cannot be written ({reason})") from None
 
     def _extended(self, name: str, values: NDArray[np.float64], field: Field) -> h5py.Dataset:
         """The dataset `name` with `values` after what it held."""
@@ -165,20 +222,28 @@ class ResultWriter:
         data[held:] = values
         return data
 
-    def flush(self) -> None:
-        """Bring what was appended to the disk."""
-        self.file.flush()
+    def sync(self) -> None:
+        """Bring what was appended to the disk; raises OutputError."""
+        with self._writing():
+            os.fsync(self.stream.fileno())
 
     def finish(self, summary: Mapping[str, Any] | None = None) -> Path:
         """Write the summary, close, and give the file its name; returns the name it got.
 
         An existing file is replaced only when `overwrite` was asked for; otherwise the next free
         numbered name is taken, without a gap in which another process could lose its file.
+        Raises OutputError; then nothing is left behind.
         """
-        write_tree(self.file.require_group("summary"), summary or {})
-        self.file.close()
-        with open(self.temporary, "rb") as stream:
-            os.fsync(stream.fileno())
+        with self._writing():
+            write_tree(self.file.require_group("summary"), summary or {})
+        with self._writing():
+            self.file.close()
+            os.fsync(self.stream.fileno())
+            self.stream.close()
+        return self._rename()
+
+    def _rename(self) -> Path:
+        """Move the complete file to its name."""
         if self.overwrite:
             os.replace(self.temporary, self.path)
             return self.path
@@ -194,7 +259,7 @@ class ResultWriter:
                 return name
             self.temporary.unlink()
             return name
-        raise CaseError(f"{self.path}: every numbered name is taken; use --overwrite")
+        raise OutputError(f"{self.path}: every numbered name is taken; use --overwrite")
 
     def __enter__(self) -> ResultWriter:
         """The writer itself."""
@@ -209,6 +274,7 @@ class ResultWriter:
         """Remove the temporary file unless `finish` moved it."""
         if self.file:
             self.file.close()
+        self.stream.close()
         self.temporary.unlink(missing_ok=True)
 
 
