@@ -137,9 +137,10 @@ raise SystemExit(not os.path.exists(s.get_path("include") + "/Python.h"))' && br
     done
     [[ -n $python ]] || die "building PETSc needs Python 3.11 or newer with its headers and venv" \
         "(Debian: python3-dev python3-venv)"
-    for tool in gcc make; do
+    for tool in gcc make nm; do
         command -v "$tool" >/dev/null || die "building PETSc needs $tool"
     done
+    [[ $here != *[[:space:]]* ]] || die "PETSc cannot be built in a path with spaces: $here"
     say "building PETSc takes 15 to 30 minutes once; to follow: tail -f $log"
     make_venv "$(command -v "$python")"
     export PATH=$venv/bin:$PATH
@@ -151,7 +152,7 @@ raise SystemExit(not os.path.exists(s.get_path("include") + "/Python.h"))' && br
     export PETSC_CONFIGURE_OPTIONS="--with-fc=0 --with-cxx=0 --with-debugging=0 --with-x=0 \
 COPTFLAGS=-O3 --with-blaslapack-lib=$venv/lib/libopenblas.so"
     unset PETSC_DIR PETSC_ARCH
-    step "3/4 building PETSc" "${pip[@]}" -v --no-cache-dir --no-build-isolation --no-deps petsc
+    step "3/4 building PETSc (the long part)" "${pip[@]}" -v --no-cache-dir --no-build-isolation --no-deps petsc
     PETSC_DIR=$("$venv/bin/python" -m petsc --prefix) CFLAGS="-O1 -g0" step "4/4 building petsc4py" \
         "${pip[@]}" -v --no-cache-dir --no-build-isolation --no-deps petsc4py
 }
