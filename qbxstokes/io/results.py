@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
+from qbxstokes.io.tables import GROUP, Table, read_tables
 
 if TYPE_CHECKING:
     import h5py
@@ -318,7 +319,7 @@ class Result:
     """A result read into memory: each dataset is an attribute holding a NumPy array.
 
     `provenance` and `summary` are nested dictionaries; `attributes` maps each dataset's name to
-    its units, description and frame; `names` lists the datasets.
+    its units, description and frame; `names` lists the datasets; `tables` are the tables by name.
     """
 
     def __init__(
@@ -328,8 +329,10 @@ class Result:
         arrays: dict[str, NDArray[Any]],
         attributes: dict[str, dict[str, Any]],
         groups: dict[str, dict[str, Any]],
+        tables: dict[str, Table] | None = None,
     ) -> None:
         """Collect what `load` has read."""
+        self.tables: dict[str, Table] = tables or {}
         self.path = path
         self.task: str = header["task"]
         self.format_version = int(header["format_version"])
@@ -439,7 +442,10 @@ def load(path: str | Path) -> Result:
             arrays: dict[str, NDArray[Any]] = {}
             attributes: dict[str, dict[str, Any]] = {}
             groups: dict[str, dict[str, Any]] = {}
+            tables = read_tables(file)
             for name, item in file.items():
+                if name == GROUP:
+                    continue
                 if isinstance(item, h5py.Group):
                     groups[name] = read_tree(item)
                     continue
@@ -456,4 +462,4 @@ def load(path: str | Path) -> Result:
     except Exception as error:  # h5py reports damage by errors of many kinds
         reason = " ".join(str(error).split())
         raise ResultFileError(f"{path}: is damaged or truncated ({reason})") from None
-    return Result(path, header, arrays, attributes, groups)
+    return Result(path, header, arrays, attributes, groups, tables)
