@@ -29,7 +29,7 @@ def write(path: Path, *blocks: dict[str, np.ndarray], overwrite: bool = False) -
     with ResultWriter(path, "motion", provenance, overwrite) as writer:
         for samples in blocks:
             writer.append(samples)
-        return writer.finish({"error": 1e-12, "steps": 7, "note": None, "times": [1.0, 2.0]})
+        return writer.finish({"error": 1e-12, "steps": 7, "note": None, "words": ["a", "b"]})
 
 
 def test_appended_blocks_read_back_as_one(tmp_path: Path) -> None:
@@ -42,6 +42,7 @@ def test_appended_blocks_read_back_as_one(tmp_path: Path) -> None:
     assert result.provenance["versions"] == {"numpy": "1"}
     assert result.summary["error"] == 1e-12
     assert result.summary["note"] is None
+    assert result.summary["words"] == ["a", "b"]
     assert "axis" in dir(result)
     with pytest.raises(AttributeError, match="no dataset nothing"):
         _ = result.nothing

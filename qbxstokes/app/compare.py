@@ -91,8 +91,8 @@ def _free_motion(
     velocity, spin = faxen.free_motion_polynomial(k, axis, *flow.derivatives(samples["position"]))
     name = "Chwang's and Faxen's laws" if flow.degree > 1 else "Jeffery's formula"
     if np.any(velocity) or np.any(samples["velocity"]):
-        found.add("free velocity", name, _relative(samples["velocity"], velocity))
-    found.add("free angular velocity", name, _relative(samples["angular_velocity"], spin))
+        found.add("free_velocity", name, _relative(samples["velocity"], velocity))
+    found.add("free_angular_velocity", name, _relative(samples["angular_velocity"], spin))
 
 
 def _jeffery_orbit(
@@ -108,15 +108,15 @@ def _jeffery_orbit(
             float(times[-1]), k, flow.polynomial.gradient_tensor, start
         )
         error = float(np.linalg.norm(axis[-1] - exact))
-        found.add("axis at the end", "linear orbit equation", error)
+        found.add("axis_at_end", "linear orbit equation", error)
         return
     exact = jeffery.axis_at(times, k, start, rate)
     distance = np.linalg.norm(axis - exact, axis=-1)
-    found.add("axis, largest", "Jeffery's orbit", distance.max())
+    found.add("axis", "Jeffery's orbit", distance.max())
     constant, initial = samples["orbit_constant"], float(jeffery.orbit_constant(k, start))
     if 0.0 < initial < np.inf:
         drift = np.abs(constant / initial - 1.0).max()
-        found.add("orbit constant, drift", "its conservation", drift)
+        found.add("orbit_constant_drift", "its conservation", drift)
     measured = measured_period(times, axis, k)
     if measured is not None:
         exact_period = jeffery.period(k, rate)
@@ -156,9 +156,9 @@ def _inertial_rotation(
     )
     exact = rotation.axis(solution.orientation)
     name = "semi-analytic equations"
-    found.add("axis, largest", name, np.linalg.norm(samples["axis"] - exact[last:], axis=-1).max())
+    found.add("axis", name, np.linalg.norm(samples["axis"] - exact[last:], axis=-1).max())
     omega = rotation.to_space(solution.orientation, solution.angular_velocity)[last:]
-    found.add("angular velocity", name, _relative(samples["angular_velocity"], omega))
+    found.add("angular_velocity", name, _relative(samples["angular_velocity"], omega))
 
 
 def _with_start(times: Array) -> tuple[Array, int]:
@@ -199,9 +199,9 @@ def _chwang_plane(
     solution = inertial.paraboloid(k, stokes, curvature, x0[:2], phi, grid, v0[:2], float(w0[2]))
     name = "Chwang's semi-analytic equations"
     exact = np.stack([np.sin(solution.phi), -np.cos(solution.phi), 0.0 * solution.phi], -1)[last:]
-    found.add("axis, largest", name, np.linalg.norm(samples["axis"] - exact, axis=-1).max())
+    found.add("axis", name, np.linalg.norm(samples["axis"] - exact, axis=-1).max())
     path = np.concatenate([solution.position, np.zeros((len(grid), 1))], axis=1)[last:]
     travelled = np.linalg.norm(path - x0, axis=-1).max() or 1.0
     error = np.linalg.norm(samples["position"] - path, axis=-1).max()
-    found.add("position, relative", name, error / travelled)
+    found.add("position", name, error / travelled)
     return True

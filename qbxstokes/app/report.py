@@ -12,7 +12,8 @@ import numpy as np
 from qbxstokes.io.results import Result
 
 WIDTH = 80
-_LABEL = 22
+_LABEL = 22  # width of the column of labels, unless one of them is wider
+_WIDEST = 44
 
 Rows = Iterable[tuple[str, str]]
 
@@ -25,13 +26,15 @@ def headline(title: str, name: str) -> str:
 
 def block(heading: str, rows: Rows) -> str:
     """A heading and its rows: label, then text wrapped beside it; nothing if there are no rows."""
+    rows = list(rows)
+    column = min(_WIDEST, max([_LABEL, *(len(label) + 2 for label, _ in rows)]))
     lines = []
     for label, text in rows:
         lines += textwrap.wrap(
             text,
             WIDTH,
-            initial_indent=f"  {label:{_LABEL}}" if label else "  ",
-            subsequent_indent=" " * (2 + _LABEL) if label else "    ",
+            initial_indent=f"  {label:{column - 2}}  " if label else "  ",
+            subsequent_indent=" " * (2 + column) if label else "    ",
             break_long_words=False,
             break_on_hyphens=False,
         )
@@ -136,6 +139,8 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, st
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{prefix}{key}.")
         elif isinstance(value, float):
-            yield prefix + key + " ", quantity(value)
+            yield prefix + key, quantity(value)
+        elif isinstance(value, list):
+            yield prefix + key, "; ".join(map(str, value)) or "none"
         elif value is not None:
-            yield prefix + key + " ", str(value)
+            yield prefix + key, str(value)

@@ -50,7 +50,7 @@ def explain(loaded: LoadedCase, plan: Plan) -> str:
             "Scene": scene(loaded, plan),
             "Needs": [("", f"- {text}") for text in plan.needs],
             "Skips": [("", f"- {text}") for text in plan.skips],
-            "Writes": [(str(plan.output) + " ", f"about {size(plan.bytes_on_disk)} of samples")],
+            "Writes": [(str(plan.output), f"about {size(plan.bytes_on_disk)} of samples")],
         },
     )
     return text + "\n"
@@ -59,7 +59,7 @@ def explain(loaded: LoadedCase, plan: Plan) -> str:
 def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
     """What was solved, what was skipped, errors, times, and the file."""
     errors = [
-        (name, f"{error_text(value):9}against {summary['references'][name]}")
+        (name.replace("_", " "), f"{error_text(value):9}against {summary['references'][name]}")
         for name, value in summary["errors"].items()
     ]
     if summary["note"]:

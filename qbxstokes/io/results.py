@@ -311,7 +311,12 @@ def read_tree(group: h5py.Group) -> dict[str, Any]:
             tree[name] = read_tree(item)
         else:
             value = item[()]
-            tree[name] = value.decode() if isinstance(value, bytes) else value
+            if isinstance(value, bytes):
+                tree[name] = value.decode()
+            elif isinstance(value, np.ndarray) and value.dtype == object:
+                tree[name] = [text.decode() for text in value]
+            else:
+                tree[name] = value
     return tree
 
 
