@@ -73,14 +73,40 @@ class GridFunctional:
 
 
 @dataclass(frozen=True)
+class ErrorParts:
+    """Estimated relative errors of the body model by cause, from `accuracy.estimate_error`.
+
+    quadrature: the source panels. truncation: the order of the expansions. resolution: the nodes
+    that carry the density. solver: the tolerance of the linear solves. rounding: the arithmetic,
+    magnified by the condition number.
+    """
+
+    quadrature: float
+    truncation: float
+    resolution: float
+    solver: float
+    rounding: float
+
+    @property
+    def total(self) -> float:
+        """Sum of the parts."""
+        return float(sum(getattr(self, field.name) for field in fields(self)))
+
+
+@dataclass(frozen=True)
 class BodyModel:
-    """Hydrodynamics of one spheroid, formed once per aspect ratio and discretisation."""
+    """Hydrodynamics of one spheroid, formed once per aspect ratio and discretisation.
+
+    error_estimate: relative error of resistance and free motion; without error_parts only the
+    misfit of the law for polynomial flows.
+    """
 
     aspect_ratio: float
     resistance: Resistance
     faxen: FaxenCoefficients
     grid: GridFunctional | None
     error_estimate: float
+    error_parts: ErrorParts | None = None
 
     def to_arrays(self) -> dict[str, Array]:
         """Plain arrays that hold the model, for storage; `from_arrays` restores it."""
@@ -95,6 +121,9 @@ class BodyModel:
         }
         if self.grid is not None:
             arrays |= {"points": self.grid.points, "weights": self.grid.weights}
+        if self.error_parts is not None:
+            parts = [getattr(self.error_parts, field.name) for field in fields(ErrorParts)]
+            arrays["error_parts"] = np.array(parts)
         return arrays
 
     @classmethod
@@ -111,6 +140,7 @@ class BodyModel:
             ),
             grid,
             float(arrays["error_estimate"]),
+            ErrorParts(*arrays["error_parts"].tolist()) if "error_parts" in arrays else None,
         )
 
 
@@ -125,8 +155,44 @@ class ModalFunctional:
     grid: SurfaceGrid
     weights: dict[str, Array]
 
-    def on_grid(self, n_phi: int) -> GridFunctional:
-        """The functional on the surface grid with n_phi >= 3 azimuthal nodes."""
+    def profiles(self) -> dict[str, Array]:
+        """Legendre coefficients (3, n_theta) of the smooth factor of each weight, by component.
+
+        weight = quadrature weight * P(cos theta), times sin(theta) for the components that are odd
+        across the pole. The decay of the coefficients shows whether the nodes resolve the adjoint
+        density. For nodes in cos(theta) alone.
+        """
+        vander, measure = _legendre(self.grid)
+        norms = np.arange(self.grid.n_theta) + 0.5
+        return {
+            name: (weight.reshape(3, -1) / _parity(self.grid, name)) @ vander * norms
+            for name, weight in self.weights.items()
+        }
+
+    def prolonged(self, n_theta: int) -> ModalFunctional:
+        """The same functional on n_theta nodes, by interpolation of the smooth factors.
+
+        Gauss weights make it exact for every flow whose polar profile the new nodes resolve, which
+        takes half as many nodes as resolving the density in that flow.
+        """
+        grid = replace(self.grid, n_theta=n_theta)
+        if grid == self.grid:
+            return self
+        vander, measure = _legendre(grid)
+        degrees = min(n_theta, self.grid.n_theta)
+        weights = {
+            name: (measure * _parity(grid, name) * (c[:, :degrees] @ vander[:, :degrees].T)).ravel()
+            for name, c in self.profiles().items()
+        }
+        return ModalFunctional(grid, weights)
+
+    def on_grid(self, n_phi: int, n_theta: int | None = None) -> GridFunctional:
+        """The functional on the surface grid with n_phi >= 3 azimuthal nodes.
+
+        n_theta: polar nodes, if not those on which the functional was formed (`prolonged`).
+        """
+        if n_theta is not None and n_theta != self.grid.n_theta:
+            return self.prolonged(n_theta).on_grid(n_phi)
         grid = replace(self.grid, n_phi=n_phi)
         rows = []
         for name, factors in (
@@ -141,6 +207,20 @@ class ModalFunctional:
                 modes[mode] = factor * self.weights[name] / n_phi
                 rows.append(from_modes(modes, grid.n_theta, n_phi))
         return GridFunctional(grid.points, np.stack(rows))
+
+
+def _legendre(grid: SurfaceGrid) -> tuple[Array, Array]:
+    """P_l at the nodes in cos(theta), (n_theta, n_theta), and the weights of d cos(theta)."""
+    if grid.nodes != "cosine":
+        raise ValueError("Legendre coefficients need nodes in cos(theta)")
+    values = np.polynomial.legendre.legvander(np.cos(grid.theta), grid.n_theta - 1)
+    return values, grid.theta_weights * np.sin(grid.theta)
+
+
+def _parity(grid: SurfaceGrid, name: str) -> Array:
+    """Factor (3, n_theta) of the components of a weight that are odd across the pole."""
+    sine, one = np.sin(grid.theta), np.ones(grid.n_theta)
+    return np.stack([sine, sine, one] if name.endswith("axial") else [one, one, sine])
 
 
 def adjoint_weights(
