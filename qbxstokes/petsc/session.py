@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,12 +21,27 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
     petsc4py.init([sys.argv[0], *arguments])
     from petsc4py import PETSc
 
+    atexit.unregister(_release)
+    atexit.register(_release)
     database = PETSc.Options()
     for key, value in (options or {}).items():
         name = key.lstrip("-")
         if not database.hasName(name):
             database.setValue(name, None if value is None or value is True else str(value))
     return PETSc
+
+
+def _release() -> None:
+    """Destroy what Python has let go of, while Python still runs.
+
+    An object found by Python's cyclic collector is only put on PETSc's list of garbage. Left for
+    PetscFinalize, which comes after the end of the interpreter, a shell matrix or preconditioner
+    would call into Python there, and crash.
+    """
+    from petsc4py import PETSc
+
+    gc.collect()
+    PETSc.garbage_cleanup(PETSc.COMM_SELF)
 
 
 def unused_options(PETSc: Any) -> list[str]:
