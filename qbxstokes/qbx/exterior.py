@@ -162,6 +162,16 @@ class ExteriorFlow:
         size = np.abs(self.coefficients[:, :-1, :3]).sum(axis=(0, 2))
         return float(size[-4:].max()) if size.size > 4 else float(size.max())
 
+    def trimmed(self, tolerance: float = 1e-15) -> ExteriorFlow:
+        """The same flow without highest orders and degrees of relative amplitude <= tolerance."""
+        size = np.abs(self.coefficients).max(axis=2)
+        kept = np.argwhere(size > tolerance * size.max())
+        if not len(kept):
+            return self
+        orders, degree = kept[:, 0].max() + 1, max(int(kept[:, 1].max()), 1)
+        harmonics = Harmonics(self.harmonics.spheroid, int(orders), degree)
+        return ExteriorFlow(harmonics, self.coefficients[:orders, : degree + 1])
+
     def evaluate(
         self, points: Array, with_stress: bool = True, tolerance: float = 0.0
     ) -> tuple[Array, Array, Array]:
@@ -230,7 +240,7 @@ class _SingleLayer:
         self.surface = harmonics.surface(theta)
         self.fine = fine
         self.on_fine = harmonics.polar(fine)
-        x, w = np.polynomial.legendre.leggauss(fine.size)
+        w = np.polynomial.legendre.leggauss(fine.size)[1]
         self.fine_weights = w
 
     def add_mode(self, m: int, data: Array, scale: Array, coefficients: ComplexArray) -> None:

@@ -1,0 +1,211 @@
+"""Layer potentials at single targets: plain, graded or by expansion, whichever is cheapest.
+
+Three ways give a target its value to the tolerance asked for:
+
+- "plain": Gauss-Legendre in cos(theta) times trapezoid on as many nodes as the target's distance
+  requires. On the confocal spheroid of the target with semi-axes alpha, gamma the kernel's part of
+  degree l has decayed by t^l, t = (1 + k)/(alpha + gamma), so n nodes leave an error of t^(2n).
+- "graded": panels graded to the target, the plain kernel; any distance but 0.
+- "expansion": QBX about a centre outside the foot of the target, down to and on the surface.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.qbx.modes import to_modes
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+METHODS = ("plain", "graded", "expansion")
+# Nodes of the graded rules a target costs at least; plain quadrature is taken below as many.
+_GRADED_NODES = 12_000
+# An expansion is taken below this share of its radius; above it the panels are as coarse.
+_EXPANSION_REACH = 0.5
+
+
+@dataclass(frozen=True)
+class LayerPotentials:
+    """Double layer of a density plus single layer (force + torque-like vector x y) h.
+
+    density: (N, 3) on the grid. weight: (6,), see `volume_kernel.potentials`.
+    expansion_order, radius_factor, panel_order, panel_ratio: as in `operator.GradedScheme`.
+    """
+
+    grid: SurfaceGrid
+    density: Array
+    weight: Array
+    expansion_order: int = 20
+    radius_factor: float = 0.1
+    panel_order: int = 18
+    panel_ratio: float = 0.7
+
+    def evaluate(
+        self, points: Array, tolerance: float = 1e-10, method: str | None = None
+    ) -> tuple[Array, Array, Array, IntArray]:
+        """Velocity (N, 3), pressure (N,), stress (N, 6) and the index into METHODS used (N,).
+
+        NaN and -1 inside the body. method: use this one for all targets instead of choosing.
+        tolerance: relative to the size of the density.
+        """
+        from qbxstokes.qbx.volume_kernel import potentials
+
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        grid, k = self.grid, self.grid.spheroid.aspect_ratio
+        modes = to_modes(self.density, grid.n_theta, grid.n_phi).reshape(-1, 3, grid.n_theta)
+        modes = modes[: (grid.n_phi + 1) // 2].copy()
+        modes[:, 1] *= 1j
+        modes[1:] *= 2.0
+        rho, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+        out = np.full((len(points), 10), np.nan)
+        used = np.full(len(points), -1, dtype=np.int64)
+        for i, (r, z, phi) in enumerate(zip(rho, points[:, 2], azimuth, strict=True)):
+            if not r * r / (k * k) + z * z >= 1.0 - 1e-12:
+                continue
+            theta, distance = nearest(k, r, z)
+            radius = self.radius_factor * float(grid.spheroid.admissible_radius(theta))
+            chosen = method or self._choose(r, z, distance, radius, tolerance, len(modes))
+            used[i] = METHODS.index(chosen)
+            rule, order = self._rule(chosen, r, z, theta, distance, radius, tolerance, len(modes))
+            c, s = math.cos(phi), math.sin(phi)
+            turned = modes * np.exp(1j * np.arange(len(modes)) * phi)[:, None, None]
+            a = self.weight
+            weight = np.array(
+                [c * a[0] + s * a[1], c * a[1] - s * a[0], a[2]]
+                + [c * a[3] + s * a[4], c * a[4] - s * a[3], a[5]]
+            )
+            result = np.zeros(10)
+            potentials(
+                k,
+                np.array([r, z]),
+                np.array([k * math.sin(theta), math.cos(theta)]),
+                distance,
+                radius,
+                order,
+                *rule,
+                grid.theta,
+                grid.barycentric,
+                grid.nodes == "cosine",
+                turned,
+                weight,
+                result,
+            )
+            out[i] = _turn(result, c, s)
+        return out[:, :3], out[:, 3], out[:, 4:], used
+
+    def plain_nodes(self, rho: float, z: float, tolerance: float, n_modes: int) -> tuple[int, int]:
+        """Nodes in theta and phi that plain quadrature needs at a target (rho, z).
+
+        Degrees above 2n - n_theta are aliased; derivatives of the kernel add a few powers.
+        """
+        from qbxstokes.qbx.exterior_kernel import confocal
+
+        k = self.grid.spheroid.aspect_ratio
+        alpha2, gamma, _ = confocal(rho * rho, z, (1.0 - k) * (1.0 + k))
+        rate = math.log((math.sqrt(alpha2) + gamma) / (1.0 + k))
+        if rate < 1e-3:
+            return 10**6, 10**6
+        # l^3 t^l = tolerance
+        degree = -math.log(tolerance) / rate
+        for _ in range(4):
+            degree = (-math.log(tolerance) + 3.0 * math.log(max(degree, 1.0))) / rate
+        return math.ceil(0.5 * (degree + self.grid.n_theta)), math.ceil(degree + n_modes) + 1
+
+    def _choose(
+        self, rho: float, z: float, distance: float, radius: float, tolerance: float, n_modes: int
+    ) -> str:
+        n_theta, n_phi = self.plain_nodes(rho, z, tolerance, n_modes)
+        if n_theta * n_phi <= _GRADED_NODES:
+            return "plain"
+        return "expansion" if distance < _EXPANSION_REACH * radius else "graded"
+
+    def _rule(
+        self,
+        method: str,
+        rho: float,
+        z: float,
+        theta: float,
+        distance: float,
+        radius: float,
+        tolerance: float,
+        n_modes: int,
+    ) -> tuple[tuple[Array, ...], int]:
+        """Source rule of a target, and the order of the expansion (-1: the plain kernel)."""
+        from qbxstokes.qbx.panels import graded_rule
+
+        if method == "plain":
+            n_theta, n_phi = self.plain_nodes(rho, z, tolerance, n_modes)
+            return plain_rule(n_theta, n_phi), -1
+        x, w = np.polynomial.legendre.leggauss(self.panel_order)
+        away = radius if method == "expansion" else distance
+        rule: tuple[Array, ...] = graded_rule(
+            self.grid.spheroid.aspect_ratio,
+            theta,
+            1,
+            away,
+            self.panel_ratio,
+            np.pi * self.panel_order / (self.grid.n_theta + 8),
+            np.pi * self.panel_order / (2 * (n_modes + 3)),
+            x,
+            w,
+        )
+        return rule, self.expansion_order if method == "expansion" else -1
+
+
+def plain_rule(n_theta: int, n_phi: int) -> tuple[Array, ...]:
+    """Gauss-Legendre in cos(theta) and trapezoid in phi, folded onto [0, pi] (see `panels`)."""
+    x, w = np.polynomial.legendre.leggauss(n_theta)
+    s = np.sqrt((1.0 - x) * (1.0 + x))
+    j = np.arange(n_phi // 2 + 1)
+    weights = np.full(j.size, 4.0 * np.pi / n_phi)
+    weights[0] /= 2.0
+    if n_phi % 2 == 0:
+        weights[-1] /= 2.0
+    start = np.zeros(n_theta, np.int64)
+    stop = np.full(n_theta, j.size, np.int64)
+    return np.arctan2(s, -x), w / s, start, stop, 2.0 * np.pi * j / n_phi, weights
+
+
+def nearest(aspect_ratio: float, rho: float, z: float) -> tuple[float, float]:
+    """Polar parameter of the surface point nearest to (rho, z) outside, and its distance.
+
+    The foot of the normal solves (k rho / (t + k^2))^2 + (z / (t + 1))^2 = 1 for the largest
+    root t >= 0 (Eberly 2013), found by bisection until doubles run out.
+    """
+    k2 = aspect_ratio * aspect_ratio
+    low, high = 0.0, max(aspect_ratio, 1.0) * math.hypot(rho, z) + 1.0
+    for _ in range(200):
+        t = 0.5 * (low + high)
+        if not low < t < high:
+            break
+        value = (aspect_ratio * rho / (t + k2)) ** 2 + (z / (t + 1.0)) ** 2
+        low, high = (t, high) if value > 1.0 else (low, t)
+    t = 0.5 * (low + high)
+    # x = y + t grad(level) / 2 at the foot y: |x - y| = t |(rho / (t + k2), z / (t + 1))|.
+    theta = math.atan2(aspect_ratio * rho / (t + k2), z / (t + 1.0))
+    return theta, t * math.hypot(rho / (t + k2), z / (t + 1.0))
+
+
+def _turn(result: Array, c: float, s: float) -> Array:
+    """Turn u, p, stress (10,) about the axis by the angle with cosine c and sine s."""
+    ux, uy, uz, p, xx, yy, zz, xy, xz, yz = result
+    return np.array(
+        [
+            c * ux - s * uy,
+            s * ux + c * uy,
+            uz,
+            p,
+            c * c * xx + s * s * yy - 2.0 * c * s * xy,
+            s * s * xx + c * c * yy + 2.0 * c * s * xy,
+            zz,
+            c * s * (xx - yy) + (c * c - s * s) * xy,
+            c * xz - s * yz,
+            s * xz + c * yz,
+        ]
+    )
