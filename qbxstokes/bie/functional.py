@@ -162,7 +162,7 @@ class ModalFunctional:
         across the pole. The decay of the coefficients shows whether the nodes resolve the adjoint
         density. For nodes in cos(theta) alone.
         """
-        vander, measure = _legendre(self.grid)
+        vander, _ = _legendre(self.grid)
         norms = np.arange(self.grid.n_theta) + 0.5
         return {
             name: (weight.reshape(3, -1) / _parity(self.grid, name)) @ vander * norms

@@ -105,8 +105,11 @@ def target_row(  # type: ignore[no-untyped-def]
     weights counting both halves.
 
     barycentric are the weights of the interpolation from grid_theta: of polynomials in theta, or,
-    with cosine, of polynomials in cos(theta), times sin(theta) for the components and modes of a
-    smooth field that are odd across the pole. The latter is exact for polynomial densities.
+    with cosine, of polynomials in cos(theta) times the power of sin(theta) with which a smooth
+    field vanishes at the pole: for mode m >= 1 the component z as sin^m, the combinations
+    rho + phi / i and rho - phi / i as sin^(m-1) and sin^(m+1), of which the parity is kept and the
+    square that tells the last two apart. That is exact for polynomial densities and leaves out
+    fields that no polynomial approaches.
     """
     k = aspect_ratio
     n_theta = grid_theta.size
@@ -131,6 +134,8 @@ def target_row(  # type: ignore[no-untyped-def]
     layer = np.empty((9, longest))
     even = np.empty(n_theta)
     odd = np.empty(n_theta)
+    same = np.empty(n_theta)
+    other = np.empty(n_theta)
     cos_m = np.empty(longest)
     sin_m = np.empty(longest)
 
@@ -276,10 +281,14 @@ def target_row(  # type: ignore[no-untyped-def]
         for m in range(n_modes):
             # Parity across the pole: (-1)^m for the z component, the opposite for the others.
             along, across = (even, odd) if m % 2 == 0 else (odd, even)
-            accumulate_mode(kernel, n, cos_m, sin_m, across, along, 1.0, row_double[m])
+            for jt in range(n_theta):
+                square = (s / math.sin(grid_theta[jt])) ** 2 if cosine and m > 0 else 1.0
+                same[jt] = 0.5 * (1.0 + square) * across[jt]
+                other[jt] = 0.5 * (1.0 - square) * across[jt]
+            accumulate_mode(kernel, n, cos_m, sin_m, same, other, along, 1.0, row_double[m])
             if with_single:
                 scale = s / (8.0 * math.pi)
-                accumulate_mode(layer, n, cos_m, sin_m, across, along, scale, row_single[m])
+                accumulate_mode(layer, n, cos_m, sin_m, same, other, along, scale, row_single[m])
             for j in range(n):
                 cm = cos_m[j]
                 cos_m[j] = cm * cos_phi[j] - sin_m[j] * sin_phi[j]
@@ -287,13 +296,14 @@ def target_row(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
-def accumulate_mode(kernel, n, cos_m, sin_m, across, along, scale, row):  # type: ignore[no-untyped-def]
+def accumulate_mode(kernel, n, cos_m, sin_m, same, other, along, scale, row):  # type: ignore[no-untyped-def]
     """Add one theta node's azimuthal Fourier sums of a 3 x 3 kernel to row (3, 3, n_theta).
 
     Entries even in phi meet the cosine, the four odd ones (one index phi) the sine, with the sign
     that the factor i of the phi component gives. along interpolates the z component of the density,
-    across the other two.
+    same each of the other two from itself and other from its partner.
     """
+    sums = np.empty(3)
     for a in range(3):
         for b in range(3):
             total = 0.0
@@ -306,7 +316,8 @@ def accumulate_mode(kernel, n, cos_m, sin_m, across, along, scale, row):  # type
             else:
                 for j in range(n):
                     total += kernel[3 * a + b, j] * sin_m[j]
-            total *= scale
-            interpolation = along if b == 2 else across
-            for jt in range(interpolation.size):
-                row[a, b, jt] += total * interpolation[jt]
+            sums[b] = scale * total
+        for jt in range(along.size):
+            row[a, 0, jt] += sums[0] * same[jt] + sums[1] * other[jt]
+            row[a, 1, jt] += sums[1] * same[jt] + sums[0] * other[jt]
+            row[a, 2, jt] += sums[2] * along[jt]
