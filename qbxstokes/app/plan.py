@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
@@ -97,8 +97,23 @@ def start_quaternion(case: Case) -> Array:
         return rotation.normalize(np.array(form.quaternion))
     if form.axis is not None:
         return rotation.from_axis(np.array(form.axis))
+    if form.orbit is not None:
+        k, orbit = case.body.aspect_ratio, form.orbit
+        return rotation.from_axis(orbit_axis(k, orbit.constant, orbit.phase))
     assert form.euler is not None  # the schema lets exactly one form through
     return rotation.from_euler(form.euler.phi, form.euler.theta, form.euler.psi)
+
+
+def orbit_axis(aspect_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -> Array:
+    """Axis (..., 3) on the Jeffery orbit C in the shear (x2, 0, 0), any length but zero.
+
+    (C cos p, -C k sin p, 1), and its limit (cos p, -k sin p, 0) for infinite C; the phase p of a
+    massless body grows by 2 pi in a period (Jeffery 1922, eqs. 48 f.).
+    """
+    k, c, p = (np.asarray(value, dtype=float) for value in (aspect_ratio, constant, phase))
+    # Both divided by 1 + C, so that tumbling needs no case of its own but the number itself.
+    part = np.where(np.isinf(c), 1.0, c / (1.0 + np.where(np.isinf(c), 0.0, c)))
+    return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
 
 
 def _check_flow(loaded: LoadedCase, position: Array, quaternion: Array) -> None:

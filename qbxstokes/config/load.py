@@ -5,16 +5,25 @@ from __future__ import annotations
 import difflib
 import types
 import typing
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from qbxstokes.config.base import describe
 from qbxstokes.config.document import Document, Key, parse, read_text
 from qbxstokes.config.schema import Case
+from qbxstokes.config.sweep import (
+    TABLE,
+    Sweep,
+    SweepFault,
+    SweepSpace,
+    build_space,
+    parse_key,
+)
 from qbxstokes.errors import CaseError, FlowError
 
 if TYPE_CHECKING:
@@ -25,12 +34,16 @@ UNKNOWN = "unknown key"
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A valid case with its flow and the document that messages refer to."""
+    """A valid case with its flow and the document that messages refer to.
+
+    With a sweep, `case` and `flow` are those of the first trajectory and `space` holds the axes.
+    """
 
     case: Case
     document: Document
     flow: Flow
     path: Path
+    space: SweepSpace | None = None
 
     def error(self, key: Key | str, wrong: str, right: str = "") -> CaseError:
         """A CaseError that points at `key` in the file."""
@@ -47,20 +60,78 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
     document = parse(read_text(path), str(path))
     for assignment in overrides:
         document.override(assignment)
-    return from_document(document, path)
+    loaded = from_document(document, path)
+    if loaded.space is not None:
+        _check_points(loaded.document, loaded.space)
+    return loaded
 
 
-def from_document(document: Document, path: Path) -> LoadedCase:
-    """The case of a document that has been read already (by another rank, say)."""
+def from_document(document: Document, path: Path, space: SweepSpace | None = None) -> LoadedCase:
+    """The case of a document that has been read already (by another rank, with its `space`)."""
+    if isinstance(document.data.get("sweep"), dict):
+        space = space or _space(document, path.parent)
+        document = _first_point(document, space)
     case = validate(document)
-    return LoadedCase(case, document, _build_flow(case, document, path), path)
+    return LoadedCase(case, document, _build_flow(case, document, path), path, space)
+
+
+def _space(document: Document, folder: Path) -> SweepSpace:
+    """The axes of the sweep, checked key by key before the case as a whole."""
+    given = document.data["sweep"]
+    try:
+        section = Sweep.model_validate(given)
+        for number, axis in enumerate(section.axes):
+            for name in axis:
+                if name != TABLE and section_at(parse_key(name)[:1]) is None:
+                    close = nearest(name, [key for key, _ in _swept_keys()])
+                    right = f"did you mean {close}?" if close else "a key such as body.aspect_ratio"
+                    key = ("sweep", "axes", number, name)
+                    raise document.error(key, "unknown key", right)
+        return build_space(section.axes, folder)
+    except ValidationError as error:
+        entry = dict(error.errors(include_url=False)[0])
+        entry["loc"] = ("sweep", *entry["loc"])
+        raise document.error(*_fault(document, entry)) from None
+    except SweepFault as fault:
+        raise document.error(fault.key, fault.wrong, fault.right) from None
+
+
+def _swept_keys() -> Iterator[tuple[str, FieldInfo]]:
+    from qbxstokes.config.describe import keys
+
+    return keys()
+
+
+def _first_point(document: Document, space: SweepSpace) -> Document:
+    """The document with the first value of every swept key in its place, and its line."""
+    data = space.assign(document.data, [0] * len(space.axes))
+    data["sweep"] = document.data["sweep"]
+    lines = dict(document.lines)
+    for _, column in space.columns:
+        lines[column.key] = document.line(column.where)
+    return replace(document, data=data, lines=lines)
+
+
+def _check_points(document: Document, space: SweepSpace) -> None:
+    """Validate the case at the values of each axis, the other axes at their first point."""
+    for number, axis in enumerate(space.axes):
+        points = sorted({point for column in axis.columns for point in column.extremes()})
+        for point in points:
+            place = [point if other == number else 0 for other in range(len(space.axes))]
+            try:
+                Case.model_validate(space.assign(document.data, place))
+            except ValidationError as error:
+                key, wrong, right = _fault(document, dict(error.errors(include_url=False)[0]))
+                of = f"value {point + 1} of the axis"
+                raise document.error(key, f"{wrong} ({of})", right) from None
 
 
 def validate(document: Document) -> Case:
     """The case held in `document`; raises CaseError for the first fault in the file's order."""
     data = {
-        # A section whose keys are all commented out is a section of defaults.
-        key: {} if value is None and section_at((key,)) else value
+        # A section whose keys are all commented out is a section of defaults; one that may be
+        # left out as a whole is left out.
+        key: {} if value is None and section_at((key,)) and not _optional(key) else value
         for key, value in document.data.items()
     }
     try:
@@ -74,6 +145,10 @@ def validate(document: Document) -> Case:
     if more:
         right += f" (and {more} more {'faults' if more > 1 else 'fault'} after it)"
     raise document.error(key, wrong, right) from None
+
+
+def _optional(section: str) -> bool:
+    return Case.model_fields[section].default is None
 
 
 def nearest(word: str, known: Sequence[str]) -> str | None:

@@ -18,6 +18,7 @@ from qbxstokes.config.flow import FlowSection
 from qbxstokes.config.hydrodynamics import Hydrodynamics
 from qbxstokes.config.output import Output
 from qbxstokes.config.start import Start
+from qbxstokes.config.sweep import Sweep
 from qbxstokes.config.time import Time
 
 Task = Literal["motion"]
@@ -59,6 +60,9 @@ class Case(Section):
         default={},
         description="PETSc options without the leading dash; the command line overrides them",
         examples=[{"ts_monitor": None}],
+    )
+    sweep: Sweep | None = Field(
+        default=None, description="vary keys of the case: many trajectories, one result"
     )
     output: Output = Field(default=Output(), description="the result file")
     compare: Compare = Field(default=Compare(), description="what to hold the result against")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -28,8 +29,28 @@ class EulerAngles(Section):
     psi: Angle = Field(default=0.0, description="psi, radians or '90 deg'", examples=[0.0])
 
 
+def _orbit_constant(value: Any) -> float:
+    if value in ("inf", ".inf", math.inf):
+        return math.inf
+    return to_number(value)
+
+
+class Orbit(Section):
+    """Axis on a Jeffery orbit of the shear u = (x2, 0, 0).
+
+    D3 is along (C cos(phase), -C k sin(phase), 1); the phase of a massless body grows steadily by
+    360 deg a period, and phase 0 is an axis in the plane of x1 and x3.
+    """
+
+    constant: Annotated[float, BeforeValidator(_orbit_constant), Field(ge=0)] = Field(
+        description="orbit constant C = tan(theta) at phase 0: 0 is log-rolling, inf tumbling",
+        examples=[1.0],
+    )
+    phase: Angle = Field(default=0.0, description="phase, radians or '90 deg'", examples=[0.0])
+
+
 class Orientation(Section):
-    """Orientation in exactly one of three forms."""
+    """Orientation in exactly one of four forms."""
 
     quaternion: Quadruple | None = Field(
         default=None,
@@ -43,14 +64,16 @@ class Orientation(Section):
         examples=[[0.0, 0.6, 0.8]],
     )
 
+    orbit: Orbit | None = Field(
+        default=None, description="Jeffery orbit of a shear (x2, 0, 0): constant and phase"
+    )
+
     @model_validator(mode="after")
     def _one_form(self) -> Orientation:
-        given = [
-            name for name in ("quaternion", "euler", "axis") if getattr(self, name) is not None
-        ]
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
             wrong = f"gives {' and '.join(given)}" if given else "gives no orientation"
-            raise problem(wrong, "give exactly one of quaternion, euler, axis")
+            raise problem(wrong, "give exactly one of quaternion, euler, axis, orbit")
         for name in ("quaternion", "axis"):
             value = getattr(self, name)
             if value is not None and not any(value):
@@ -82,7 +105,7 @@ class Start(Section):
     )
     orientation: Orientation = Field(
         default=Orientation(axis=(0.0, 0.0, 1.0)),
-        description="orientation as quaternion, euler or axis",
+        description="orientation as quaternion, euler, axis or orbit",
     )
     velocity: Velocity = Field(
         default="with_flow",
