@@ -64,7 +64,9 @@ class Harmonics:
     def diagonal(self) -> Array:
         """p_m^m (orders,): the constant sqrt((2m + 1)/2 / (2m)!) (2m - 1)!!."""
         m = np.arange(1, self.orders)
-        return np.sqrt(0.5 * np.cumprod(np.concatenate([[1.0], (2.0 * m + 1) / (2.0 * m)])))
+        return np.asarray(
+            np.sqrt(0.5 * np.cumprod(np.concatenate([[1.0], (2.0 * m + 1) / (2.0 * m)])))
+        )
 
     @cached_property
     def ratio(self) -> Array:

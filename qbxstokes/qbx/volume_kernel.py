@@ -31,11 +31,16 @@ import math
 import numpy as np
 from numba import njit
 
+# Where |X|^(p - 2) is below this many digits, an expansion of order p is the plain kernel.
+_DIGITS = 17.0
+
 
 @njit(cache=True)
 def gegenbauer(order, a2, b, sums):  # type: ignore[no-untyped-def]
-    """Sums for |X|^2 = a2, X.Y = b: S, T1 (2), T2 (3), T3 (4), each from its highest degree down."""
-    # index lam = (2 h + 1) / 2; degrees 0 .. order - h, the last h + 1 partial sums are kept
+    """Sums for |X|^2 = a2 and X.Y = b, each from its highest degree down: S, 2 T1, 3 T2, 4 T3.
+
+    The index is h + 1/2 for h = 0..3, degrees run to order - h, the last h + 1 sums are kept.
+    """
     factor = 1.0
     slot = 0
     for h in range(4):
@@ -128,6 +133,7 @@ def potentials(  # type: ignore[no-untyped-def]
     hz = (offset - radius) * normal_z
     theta_foot = math.atan2(foot[0] / k, foot[1])
     st = math.sin(theta_foot)
+    cutoff = 10.0 ** (-2.0 * _DIGITS / max(order - 2, 1))
     for i in range(theta_nodes.size):
         theta = theta_nodes[i]
         s = math.sin(theta)
@@ -181,11 +187,13 @@ def potentials(  # type: ignore[no-untyped-def]
                 rx = offset * normal_x - dx
                 ry = -yy
                 rz = offset * normal_z - dz
-                # Source relative to the centre.
-                if order >= 0:
-                    vx = dx - radius * normal_x
-                    vz = dz - radius * normal_z
-                    inv = 1.0 / math.sqrt(vx * vx + yy * yy + vz * vz)
+                # Source relative to the centre. Far from it the terms left out are rounding, and
+                # the plain kernel is the same number: X = 0, Y = -r/|r| and closed sums.
+                vx = dx - radius * normal_x
+                vz = dz - radius * normal_z
+                v2 = vx * vx + yy * yy + vz * vz
+                if order >= 0 and hx * hx + hz * hz > cutoff * v2:
+                    inv = 1.0 / math.sqrt(v2)
                     ux = vx * inv
                     uy = yy * inv
                     uz = vz * inv
@@ -194,14 +202,12 @@ def potentials(  # type: ignore[no-untyped-def]
                     gegenbauer(order, xx * xx + xz * xz, xx * ux + xz * uz, sums)
                 else:
                     inv = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
-                    # X = 0 and Y = -r/|r|, all sums closed: T1 = 1, T2 = 3, T3 = 15.
                     ux = -rx * inv
                     uy = -ry * inv
                     uz = -rz * inv
                     xx = 0.0
                     xz = 0.0
-                    sums[0] = 1.0
-                    sums[1:3] = 1.0
+                    sums[0:3] = 1.0
                     sums[3:6] = 3.0
                     sums[6:10] = 15.0
                 i2 = inv * inv
