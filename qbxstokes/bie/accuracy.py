@@ -1,0 +1,356 @@
+"""From a tolerance to parameters, and from a discretisation to an estimate of its error.
+
+Three facts make the choice short (all measured in tests/test_accuracy.py, none a closed form).
+Inside a spheroid the double layer of a polynomial density is a polynomial of the same degree, so
+that inner expansions of order n_theta + 2 truncate nothing. The quadrature error falls by a fixed
+number of digits per panel node, the same for every aspect ratio. And the error of the functional in
+a flow that is singular outside the body falls by the rate `confocal_rate` per node.
+
+The estimate compares resolutions: each part is the change of the result when the one parameter
+behind it is refined, rounding the change under perturbations of its size, resolution the last
+coefficients of the adjoint densities.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.bie.functional import (
+    BodyModel,
+    ErrorParts,
+    ModalFunctional,
+    faxen_coefficients,
+    resistance,
+)
+from qbxstokes.bie.operators import (
+    DirectSolver,
+    SolverFactory,
+    SurfaceOperators,
+    modal_functional,
+    surface_operators,
+)
+from qbxstokes.bie.resistance import Completion
+from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.qbx.operator import (
+    GradedScheme,
+    Scheme,
+    Side,
+    impose_rigid_motions,
+    independent_rows,
+    layer_rows,
+)
+
+Array = NDArray[np.float64]
+
+# Polar nodes that hold the density of a polynomial flow of degree <= 3, with two to show its decay.
+POLYNOMIAL_NODES = 6
+# log10 of the quadrature error of inner expansions (order 8, radius factor 0.3, panel ratio 0.7) is
+# at most LOSS - GAIN * panel_order over 1/50 <= k <= 50; scanned in steps of 2 from 6 to 12.
+_GAIN, _LOSS = 1.4, 4.0
+# The same for outer and averaged expansions of radius factor 0.1, and digits per order there.
+_OUTER_GAIN, _OUTER_LOSS, _OUTER_DIGITS_PER_ORDER = 1.1, 4.0, 0.75
+# Digits by which the choice stays below the tolerance; the estimate decides whether they sufficed.
+_MARGIN = 1.5
+_MOST_PANEL_NODES = 30
+# Size of one rounding error of the assembled rows in units of eps times 4 pi; a few times what the
+# scatter of the results under changes of the panels shows.
+_ROUNDING = 1.0
+_PERTURBATIONS = 4
+# A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
+MOST_NODES = 160
+
+
+class RowFormer(Protocol):
+    """What forms rows of the layer potentials: `layer_rows`, or several processes at once."""
+
+    def __call__(
+        self,
+        spheroid: Spheroid,
+        scheme: Scheme,
+        n_modes: int,
+        rows: Sequence[int],
+        with_single: bool = False,
+    ) -> tuple[Array, Array]:
+        """The result of `qbx.operator.layer_rows`."""
+
+
+def choose_scheme(
+    tolerance: float, n_theta: int = POLYNOMIAL_NODES, side: Side = "inner"
+) -> GradedScheme:
+    """Cheapest parameters of the scanned family whose error stays below the tolerance."""
+    digits = -math.log10(min(tolerance, 0.1)) + _MARGIN
+    if side == "inner":
+        order = max(4, math.ceil((digits + _LOSS) / _GAIN))
+        return GradedScheme(n_theta, n_theta + 2, 0.3, min(order, _MOST_PANEL_NODES), 0.7, side)
+    expansion = max(n_theta + 2, math.ceil(digits / _OUTER_DIGITS_PER_ORDER) + 2)
+    # Every order of the expansion magnifies the quadrature's error a little more.
+    order = math.ceil((digits + _OUTER_LOSS + 0.1 * expansion) / _OUTER_GAIN)
+    return GradedScheme(n_theta, expansion, 0.1, min(order, _MOST_PANEL_NODES), 0.7, side)
+
+
+@dataclass(frozen=True)
+class AccurateBody:
+    """A body model with its functional, the scheme that was used, and the error in parts."""
+
+    model: BodyModel
+    functional: ModalFunctional
+    scheme: Scheme
+
+
+def accurate_body(
+    spheroid: Spheroid,
+    tolerance: float,
+    scheme: GradedScheme | None = None,
+    *,
+    strict: bool = True,
+    completion: Completion = "surface",
+    solver: SolverFactory = DirectSolver,
+    form_rows: RowFormer = layer_rows,
+) -> AccurateBody:
+    """The body model to a relative tolerance, refined until the estimate meets it.
+
+    scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported.
+    strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
+    thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
+    """
+    trial = scheme or choose_scheme(tolerance)
+    for _ in range(4):
+        body = _form(spheroid, trial, completion, solver, form_rows)
+        parts = estimate_error(body, completion, form_rows)
+        refined = _refined(trial, parts)
+        if scheme is not None or parts.total <= tolerance or refined is None:
+            break
+        trial = refined
+    if strict and scheme is None and parts.total > tolerance:
+        raise ConvergenceError(
+            f"the estimated error {parts.total:.1e} of the hydrodynamics exceeds the tolerance "
+            f"{tolerance:.1e} for aspect_ratio {spheroid.aspect_ratio:g} (quadrature "
+            f"{parts.quadrature:.0e}, truncation {parts.truncation:.0e}, resolution "
+            f"{parts.resolution:.0e}, solver {parts.solver:.0e}, rounding {parts.rounding:.0e}); "
+            f"set hydrodynamics.tolerance to {2.0 * parts.total:.0e} or more"
+        )
+    model = replace(
+        body.model, error_estimate=max(parts.total, body.model.error_estimate), error_parts=parts
+    )
+    return AccurateBody(model, body.functional, trial)
+
+
+def _refined(scheme: GradedScheme, parts: ErrorParts) -> GradedScheme | None:
+    """The scheme with its weakest parameter raised, None if none of them is to blame."""
+    worst = max(("quadrature", "truncation", "resolution"), key=lambda name: getattr(parts, name))
+    if max(parts.rounding, parts.solver) >= getattr(parts, worst):
+        return None
+    if worst == "quadrature":
+        if scheme.panel_order >= _MOST_PANEL_NODES:
+            return None
+        return replace(scheme, panel_order=min(scheme.panel_order + 3, _MOST_PANEL_NODES))
+    if worst == "truncation":
+        return replace(scheme, expansion_order=scheme.expansion_order + 4)
+    return replace(scheme, n_theta=scheme.n_theta + 4, expansion_order=scheme.expansion_order + 4)
+
+
+@dataclass(frozen=True)
+class _Body(AccurateBody):
+    rows: tuple[Array, Array]
+    direct: ModalFunctional
+
+
+def _form(
+    spheroid: Spheroid,
+    scheme: Scheme,
+    completion: Completion,
+    solver: SolverFactory,
+    form_rows: RowFormer,
+) -> _Body:
+    spread = completion == "surface"
+    rows = form_rows(spheroid, scheme, 2, independent_rows(scheme.n_theta), spread)
+    operators = surface_operators(spheroid, scheme, 3, completion, rows)
+    functional = modal_functional(operators, solver)
+    direct = functional if solver is DirectSolver else modal_functional(operators)
+    return _Body(_model(operators, functional), functional, scheme, rows, direct)
+
+
+def _model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyModel:
+    coefficients, misfit = faxen_coefficients(functional)
+    numbers = resistance(functional.weights, operators.completion_flows)
+    return BodyModel(operators.grid.spheroid.aspect_ratio, numbers, coefficients, None, misfit)
+
+
+def estimate_error(
+    body: AccurateBody, completion: Completion = "surface", form_rows: RowFormer = layer_rows
+) -> ErrorParts:
+    """Relative errors of resistance and free motion by cause; costs about two more set-ups.
+
+    No closed form enters. For `GradedScheme`; a part is zero where it does not exist.
+    """
+    scheme, spheroid = body.scheme, body.functional.grid.spheroid
+    if not isinstance(scheme, GradedScheme):
+        raise ValueError("the error is estimated for the graded scheme only")
+    if not isinstance(body, _Body):
+        body = _form(spheroid, scheme, completion, DirectSolver, form_rows)
+    finer = replace(scheme, panel_order=scheme.panel_order + 2)
+    higher = replace(finer, expansion_order=scheme.expansion_order + 2)
+    by_panels = _form(spheroid, finer, completion, DirectSolver, form_rows)
+    by_order = _form(spheroid, higher, completion, DirectSolver, form_rows)
+    solver = 0.0
+    if body.direct is not body.functional:
+        operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
+        solver = model_distance(body.model, _model(operators, body.direct))
+    return ErrorParts(
+        quadrature=model_distance(body.model, by_panels.model),
+        truncation=model_distance(by_panels.model, by_order.model),
+        resolution=adjoint_tail(body.functional),
+        solver=solver,
+        rounding=_rounding(body, completion),
+    )
+
+
+def model_distance(one: BodyModel, other: BodyModel) -> float:
+    """Largest relative difference of two body models, in force, torque or free motion.
+
+    Resistances relative to themselves; the coefficients of one degree may all err in one direction
+    and count by their sum, relative to the largest quadratic one, the squared radius over which
+    second and third derivatives act.
+    """
+    f, g = one.faxen, other.faxen
+    area = float(np.max(np.abs(f.quadratic)))
+    motion = max(
+        abs(f.linear - g.linear),
+        float(np.sum(np.abs(f.quadratic - g.quadratic))) / area,
+        float(np.sum(np.abs(f.cubic - g.cubic))) / area,
+    )
+    numbers = zip(vars(one.resistance).values(), vars(other.resistance).values(), strict=True)
+    return motion + max(abs(a / b - 1.0) for a, b in numbers)
+
+
+def adjoint_tail(functional: ModalFunctional) -> float:
+    """Last two Legendre moments of the adjoint densities relative to the largest one.
+
+    Moments, which are the coefficients over l + 1/2, are what a flow's own harmonics meet.
+    """
+    degrees = np.arange(functional.grid.n_theta) + 0.5
+    moments = [np.abs(c / degrees) for c in functional.profiles().values()]
+    return max(float(np.max(m[:, -2:]) / np.max(m)) for m in moments)
+
+
+def _rounding(body: _Body, completion: Completion) -> float:
+    """Change of the model when every entry of the rows moves by a rounding error of its sum."""
+    functional, scheme = body.functional, body.scheme
+    grid, rng = functional.grid, np.random.default_rng(0)
+    rows = independent_rows(scheme.n_theta)
+    size = _ROUNDING * np.finfo(float).eps * 4.0 * math.pi / math.sqrt(scheme.n_theta)
+    spread = []
+    for _ in range(_PERTURBATIONS):
+        double = body.rows[0] + size * rng.standard_normal(body.rows[0].shape)
+        if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
+            impose_rigid_motions(grid, rows, double)
+        operators = surface_operators(grid.spheroid, scheme, 3, completion, (double, body.rows[1]))
+        spread.append(model_distance(body.model, _model(operators, modal_functional(operators))))
+    return float(np.max(spread))
+
+
+def confocal_rate(aspect_ratio: float, points: ArrayLike) -> Array:
+    """Factor per degree by which the surface harmonics of a point singularity decay, (...).
+
+    points (..., 3) in the body frame. With the confocal spheroid through the point having semi-axes
+    (a', a', c'), the rate is (k + 1)/(a' + c'): the ratio of the confocal coordinates
+    xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
+    surface and not below it, and for a sphere the ratio of the distances.
+    """
+    k = float(aspect_ratio)
+    x = np.asarray(points, dtype=float)
+    z2 = x[..., 2] ** 2
+    r2 = x[..., 0] ** 2 + x[..., 1] ** 2
+    # r^2/(k^2 + s) + z^2/(1 + s) = 1 for the parameter s of the confocal family.
+    b = k * k + 1.0 - r2 - z2
+    c = k * k - r2 - z2 * k * k
+    root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
+    # The larger root, without cancellation whatever the sign of b.
+    s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
+    s = np.maximum(s, 0.0)
+    return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
+
+
+def flow_nodes(rate: float, tolerance: float) -> tuple[int, int]:
+    """Polar and azimuthal nodes that resolve a flow of the given `confocal_rate`.
+
+    The polar rule is Gauss's and gains the square of the rate per node. Raises FlowError if more
+    than MOST_NODES would be needed.
+    """
+    # A stresslet's harmonics grow as the cube of the degree before they decay.
+    digits = -math.log10(tolerance) + 1.0
+    slope = -math.log10(rate) if rate > 0.0 else math.inf
+    degree = digits / slope if slope > 0.0 else math.inf
+    for _ in range(3):
+        if math.isfinite(degree):
+            degree = (digits + 3.0 * math.log10(max(1.0, degree * slope))) / slope
+    if degree > 2 * MOST_NODES:
+        least = 10.0 ** (-digits / (2.0 * MOST_NODES))
+        raise FlowError(
+            f"the flow's singularity is too near the body: its rate of decay {rate:.4f} on the "
+            f"surface must stay below {least:.4f} for the tolerance {tolerance:.0e}"
+        )
+    n_theta = max(POLYNOMIAL_NODES, math.ceil(degree / 2.0) + 2)
+    n_phi = max(8, math.ceil(degree) + 3)
+    return n_theta, n_phi + n_phi % 2
+
+
+def flow_error(
+    functional: ModalFunctional,
+    velocity: Callable[[Array], Array],
+    n_theta: int,
+    n_phi: int,
+) -> float:
+    """Relative change of the free motion from the grid to one half as fine again.
+
+    velocity: points (N, 3) of the body frame -> background velocity (N, 3) there. U and Omega are
+    each measured by their own length, or, where symmetry makes them vanish, by a hundredth of the
+    speed (difference of speed over the body's length) on the surface.
+    """
+    motions = []
+    for polar, azimuthal in ((3 * n_theta // 2 + 2, 3 * n_phi // 2 + 2), (n_theta, n_phi)):
+        grid = functional.on_grid(azimuthal, polar)
+        u = velocity(grid.points)
+        motions.append(np.einsum("anj,nj->a", grid.weights, u))
+    speed = 0.01 * float(np.max(np.linalg.norm(u, axis=-1)))
+    spin = 0.01 * float(np.max(np.linalg.norm(u - u.mean(axis=0), axis=-1)))
+    spin /= max(1.0, functional.grid.spheroid.aspect_ratio)
+    error = 0.0
+    for part, least in ((slice(0, 3), speed), (slice(3, 6), spin)):
+        fine, coarse = motions[0][part], motions[1][part]
+        scale = max(float(np.linalg.norm(fine)), least)
+        if scale > 0.0:
+            error = max(error, float(np.linalg.norm(fine - coarse)) / scale)
+    return error
+
+
+def resolving_nodes(
+    functional: ModalFunctional,
+    velocity: Callable[[Array], Array],
+    tolerance: float,
+    start: tuple[int, int] = (POLYNOMIAL_NODES, 8),
+) -> tuple[int, int, float]:
+    """Polar and azimuthal nodes for which `flow_error` meets the tolerance, and that error.
+
+    Raises FlowError if MOST_NODES do not suffice.
+    """
+    n_theta, n_phi = start
+    while True:
+        error = flow_error(functional, velocity, n_theta, n_phi)
+        if error <= tolerance:
+            return n_theta, n_phi, error
+        n_theta, n_phi = (5 * n_theta + 3) // 4, (5 * n_phi + 3) // 4
+        n_phi += n_phi % 2
+        if n_theta > MOST_NODES:
+            raise FlowError(
+                f"the flow varies too much over the body: its free motion still changes by "
+                f"{error:.1e} at {n_theta} x {n_phi} points of the surface, more than the "
+                f"tolerance {tolerance:.0e}"
+            )
