@@ -1,0 +1,169 @@
+"""Averages of trajectories over whole turns of their axis, from samples, for many bodies at once.
+
+The axis D3 is described in the plane of shear (e_a, e_b, e_n): the flow runs along e_a and varies
+along e_b. Its stretched angle tau = atan2(d_b, k d_a) grows steadily on a Jeffery orbit, so that
+whole half-turns (after which a body with fore-aft symmetry looks the same) are counted exactly, and
+the end of the last one is found between two samples by the cubic through values and rates there.
+Arrays of samples are (T, n) or (T, n, 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# More than this between two samples, and the turns cannot be counted.
+_LARGEST_TURN = 0.75 * np.pi
+_ITERATIONS = 60  # of bisection: to the last bit of the fraction of a step
+
+
+@dataclass(frozen=True)
+class ShearFrame:
+    """Directions of stream, gradient and vorticity (rows, (3, 3)), and whether it is a shear."""
+
+    axes: Array
+    simple: bool
+
+    @classmethod
+    def of(cls, gradient: Array) -> ShearFrame:
+        """Frame of the velocity gradient A[i, j] = du_i/dx_j at one point.
+
+        For a simple shear A = rate e_a e_b^T; otherwise e_n is along the vorticity, or e3.
+        """
+        left, singular, right = np.linalg.svd(gradient)
+        a, b = left[:, 0], right[0]
+        if singular[0] > 0 and singular[1] <= 1e-10 * singular[0] and abs(a @ b) < 1e-10:
+            # Signs such that e_a and e_b point along the axes of space as far as they can.
+            a, b = (v * np.sign(v[np.argmax(np.abs(v))]) for v in (a, b))
+            return cls(np.stack([a, b, np.cross(a, b)]), True)
+        spin = np.array([gradient[1, 2] - gradient[2, 1], gradient[2, 0] - gradient[0, 2], 0.0])
+        spin[2] = gradient[0, 1] - gradient[1, 0]
+        length = np.linalg.norm(spin)
+        n = spin / length if length > 0 else np.array([0.0, 0.0, 1.0])
+        n = n * np.sign(n[np.argmax(np.abs(n))])
+        a = np.eye(3)[int(np.argmin(np.abs(n)))]
+        a = a - (a @ n) * n
+        a /= np.linalg.norm(a)
+        return cls(np.stack([a, np.cross(n, a), n]), False)
+
+
+def turn_averages(
+    times: Array,
+    samples: dict[str, Array],
+    aspect_ratio: float,
+    frame: ShearFrame,
+    discard: float = 0.0,
+) -> dict[str, Array]:
+    """Averages (n,) and (n, 3) over the whole half-turns after the first `discard` of the time.
+
+    samples: position, axis, velocity, angular_velocity (T, n, 3). Returned:
+    half_turns (counted), period (of two half-turns), period_change (second half of the half-turns
+    minus the first, relative), rotation_rate (mean rate of the axis about e_n, with its sign),
+    mean_velocity (3), velocity_change (the same for the two halves, 3), orbit_constant_start and
+    _end (first and last sample), orbit_drift (rate of ln C). NaN where there is no whole half-turn;
+    the mean velocity is then that of the whole window.
+    """
+    first = int(np.searchsorted(times, times[0] + discard * (times[-1] - times[0])))
+    first = min(first, len(times) - 1)
+    t = times[first:]
+    axis, omega = samples["axis"][first:], samples["angular_velocity"][first:]
+    x, v = samples["position"][first:], samples["velocity"][first:]
+    k = aspect_ratio if frame.simple else 1.0
+    n = axis.shape[1]
+    d = axis @ frame.axes.T
+    rate = np.cross(omega, axis) @ frame.axes.T
+    along, across = k * d[..., 0], d[..., 1]
+    square = along**2 + across**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (along * rate[..., 1] - k * rate[..., 0] * across) / square
+    raw = np.arctan2(across, along)
+    angle = np.unwrap(raw, axis=0)
+    steps = np.abs(np.diff(angle, axis=0)).max(axis=0, initial=0.0)
+    known = (square.min(axis=0) > 1e-16) & (steps < _LARGEST_TURN) & np.isfinite(slope).all(axis=0)
+    turned = np.where(known, angle[-1] - angle[0], 0.0)
+    half_turns = np.floor(np.abs(turned) / np.pi + 1e-9)
+    some = half_turns >= 1
+
+    def moment(count: Array) -> tuple[Array, Array]:
+        """Interval and fraction of it at which `count` half-turns are complete."""
+        goal = angle[0] + np.sign(turned) * np.pi * count
+        beyond = np.abs(angle - angle[0]) >= np.abs(goal - angle[0]) * (1.0 - 1e-14)
+        after = np.clip(np.argmax(beyond, axis=0), 1, max(len(t) - 1, 1))
+        low, high = np.zeros(n), np.ones(n)
+        for _ in range(_ITERATIONS):
+            middle = 0.5 * (low + high)
+            here = _hermite(t, angle, slope, after - 1, middle)
+            short = np.abs(here - angle[0]) < np.abs(goal - angle[0])
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return after - 1, 0.5 * (low + high)
+
+    result: dict[str, Array] = {"half_turns": half_turns}
+    if len(t) < 2:
+        some = np.zeros(n, dtype=bool)
+    nothing = np.full(n, np.nan)
+    start_time, start_place = np.full(n, t[0]), x[0]
+    if some.any():
+        where, part = moment(half_turns)
+        span = t[where] + part * (t[where + 1] - t[where]) - start_time
+        place = _hermite(t, x, v, where, part)
+        middle_count = np.floor(0.5 * half_turns)
+        where2, part2 = moment(middle_count)
+        half = t[where2] + part2 * (t[where2 + 1] - t[where2]) - start_time
+        place2 = _hermite(t, x, v, where2, part2)
+        ending = _hermite(t, axis, np.cross(omega, axis), where, part)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            period = 2.0 * span / half_turns
+            earlier = 2.0 * half / middle_count
+            later = 2.0 * (span - half) / (half_turns - middle_count)
+            change = np.where(middle_count >= 1, (later - earlier) / period, np.nan)
+            speed = (place - start_place) / span[:, None]
+            early_speed = (place2 - start_place) / half[:, None]
+            late_speed = (place - place2) / (span - half)[:, None]
+            constants = [_orbit(d, aspect_ratio, frame) for d in (axis[0], ending)]
+            drift = np.log(constants[1] / constants[0]) / span
+    else:
+        period = change = drift = span = nothing
+        speed = early_speed = late_speed = np.full((n, 3), np.nan)
+        middle_count = np.zeros(n)
+    whole = max(float(t[-1] - t[0]), np.finfo(float).tiny)
+    result["period"] = np.where(some, period, np.nan)
+    result["period_change"] = np.where(some, change, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean_rate = np.sign(turned) * np.pi * half_turns / span
+    result["rotation_rate"] = np.where(some, mean_rate, np.nan)
+    result["mean_velocity"] = np.where(some[:, None], speed, (x[-1] - x[0]) / whole)
+    halves = (some & (middle_count >= 1))[:, None]
+    result["velocity_change"] = np.where(halves, late_speed - early_speed, np.nan)
+    result["orbit_constant_start"] = _orbit(samples["axis"][0], aspect_ratio, frame)
+    result["orbit_constant_end"] = _orbit(axis[-1], aspect_ratio, frame)
+    result["orbit_drift"] = np.where(some & np.isfinite(drift), drift, np.nan)
+    return result
+
+
+def _orbit(axis: Array, k: float, frame: ShearFrame) -> Array:
+    """Orbit constant sqrt(d_b^2 + k^2 d_a^2)/(k |d_n|), infinite when tumbling."""
+    d = axis @ frame.axes.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.hypot(d[..., 1], k * d[..., 0]) / (k * np.abs(d[..., 2])))
+
+
+def _hermite(t: Array, values: Array, rates: Array, interval: NDArray[np.intp], s: Array) -> Array:
+    """Cubic through values and rates at both ends of one interval per body; s in [0, 1]."""
+    bodies = np.arange(values.shape[1])
+    h = t[interval + 1] - t[interval]
+    y0, y1 = values[interval, bodies], values[interval + 1, bodies]
+    f0, f1 = rates[interval, bodies], rates[interval + 1, bodies]
+    if values.ndim == 3:
+        h, s = h[:, None], s[:, None]
+    s2 = s * s
+    return np.asarray(
+        y0
+        + s * h * f0
+        + s2 * (3.0 - 2.0 * s) * (y1 - y0)
+        + s2 * (s - 1.0) * h * f1
+        + s2 * (s - 2.0) * h * f0
+    )
