@@ -70,8 +70,13 @@ class GmresSolver:
             pc.setType(PETSc.PC.Type.NONE)
         # Classical Gram-Schmidt, PETSc's default, loses the basis for k < 1/20 and stagnates.
         database = PETSc.Options()
-        if not database.hasName("ksp_gmres_modifiedgramschmidt"):
-            database.setValue("ksp_gmres_modifiedgramschmidt", "true")
+        name, value = (
+            ("ksp_orthogonalization", "mgs")
+            if PETSc.Sys.getVersion() >= (3, 26)
+            else ("ksp_gmres_modifiedgramschmidt", "true")
+        )
+        if not database.hasName(name):
+            database.setValue(name, value)
         ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
         self._product = self._rhs.duplicate()
