@@ -155,15 +155,6 @@ class ExteriorFlow:
         size = np.abs(self.coefficients).sum(axis=(0, 2))
         return np.asarray(size * np.sqrt(n + 0.5) * (n + 1.0) / min(k * k, 1.0))
 
-    @cached_property
-    def tail(self) -> float:
-        """Truncation error of the velocity on the surface, estimated from the last degrees.
-
-        Two degrees of each parity decide, since a symmetric flow leaves every other one empty.
-        """
-        size = np.abs(self.coefficients[:, :-1, :3]).sum(axis=(0, 2))
-        return float(size[-4:].max()) if size.size > 4 else float(size.max())
-
     def trimmed(self, tolerance: float = 1e-15) -> ExteriorFlow:
         """The same flow without highest orders and degrees of relative amplitude <= tolerance."""
         size = np.abs(self.coefficients).max(axis=2)
@@ -210,85 +201,101 @@ class ExteriorFlow:
         return velocity, pressure, stress
 
 
-def exterior_flow(grid: SurfaceGrid, velocity: Array, degree: int | None = None) -> ExteriorFlow:
-    """The exterior flow with the given velocity (N, 3) on the surface, without net flux.
+@dataclass(frozen=True)
+class SurfaceToExterior:
+    """The linear map from a velocity on the surface grid to the exterior flow it belongs to.
 
-    degree: of the spheroidal harmonics of the single-layer density; by default n_theta - 2, as far
-    as the grid resolves them. The modes of `velocity` beyond those of the grid must vanish.
+    degree: of the spheroidal harmonics of the single-layer density; n_theta - 2 is as far as the
+    grid resolves them, and the degree of a polynomial velocity is enough for it.
     """
-    modes = to_modes(velocity, grid.n_theta, grid.n_phi)
-    # The highest mode of an even grid stands for two and is left out.
-    n_modes = (grid.n_phi + 1) // 2
-    top = grid.n_theta - 2 if degree is None else degree
-    harmonics = Harmonics(grid.spheroid, n_modes + 1, top + 1)
-    fine = np.arccos(np.polynomial.legendre.leggauss(top + 3)[0])[::-1].copy()
-    layer = _SingleLayer(harmonics, grid.theta, fine)
-    coefficients = np.zeros((n_modes + 1, top + 2, 4), dtype=np.complex128)
-    scale = np.sqrt(grid.theta_weights * np.sin(grid.theta))
-    for m in range(n_modes):
-        data = (modes[m].reshape(3, -1) * scale).ravel()
-        if not np.any(data):
-            continue
-        layer.add_mode(m, data, scale, coefficients)
-    return ExteriorFlow(harmonics, coefficients)
 
+    grid: SurfaceGrid
+    degree: int
 
-class _SingleLayer:
-    """The Stokes single layer on spheroidal harmonics, mode by mode, and its inverse."""
+    @cached_property
+    def harmonics(self) -> Harmonics:
+        """Harmonics of the exterior flow: those of the density and one order and degree more."""
+        return Harmonics(self.grid.spheroid, self._n_modes + 1, self.degree + 1)
 
-    def __init__(self, harmonics: Harmonics, theta: Array, fine: Array) -> None:
-        self.harmonics = harmonics
-        self.theta = theta
-        self.surface = harmonics.surface(theta)
-        self.fine = fine
-        self.on_fine = harmonics.polar(fine)
-        w = np.polynomial.legendre.leggauss(fine.size)[1]
-        self.fine_weights = w
+    @property
+    def _n_modes(self) -> int:
+        # The highest mode of an even grid stands for two and is left out.
+        return (self.grid.n_phi + 1) // 2
 
-    def add_mode(self, m: int, data: Array, scale: Array, coefficients: ComplexArray) -> None:
-        """Solve for the density of mode m and add its potentials to the coefficients.
+    @cached_property
+    def _scale(self) -> Array:
+        return np.asarray(np.sqrt(self.grid.theta_weights * np.sin(self.grid.theta)))
 
-        data: amplitudes (3 n_theta,) of (u_rho, u_phi / i, u_z), times scale.
+    @cached_property
+    def _blocks(self) -> list[tuple[Array, Array]]:
+        return [self._block(m) for m in range(self._n_modes)]
+
+    def flow(self, velocity: Array) -> ExteriorFlow:
+        """The exterior flow with the given velocity (N, 3) on the surface, without net flux."""
+        grid, h = self.grid, self.harmonics
+        modes = to_modes(velocity, grid.n_theta, grid.n_phi)
+        coefficients = np.zeros((h.orders, h.degree + 1, 4), dtype=np.complex128)
+        for m, (inverse, moments) in enumerate(self._blocks):
+            data = (modes[m].reshape(3, -1) * self._scale).ravel()
+            if not np.any(data):
+                continue
+            density = inverse @ data
+            begin = 0
+            for part, order in enumerate((m + 1, abs(m - 1), m)):
+                size = max(self.degree + 1 - order, 0)
+                a = density[begin : begin + size] * h.gain[order, order : self.degree + 1]
+                begin += size
+                here = coefficients[order, order : self.degree + 1]
+                # B_x + i B_y of orders m + 1 and, from the conjugate modes, -(m - 1).
+                if part == 0:
+                    here[:, 0] += a
+                    here[:, 1] -= 1j * a
+                elif part == 1 and m > 0:
+                    here[:, 0] += a
+                    here[:, 1] += 1j * a
+                elif part == 2:
+                    here[:, 2] += min(m + 1, 2) * a
+            coefficients[m, :, 3] += min(m + 1, 2) * (density @ moments)
+        return ExteriorFlow(h, coefficients)
+
+    def _block(self, m: int) -> tuple[Array, Array]:
+        """Density from the velocity of mode m, and the coefficients of C from the density.
+
+        The density has the parts mu_x + i mu_y, mu_x - i mu_y and mu_z of orders m + 1, m - 1 and
+        m; the velocity is (u_rho, u_phi / i, u_z) with weights that make the fit one in L2.
         """
-        h = self.harmonics
-        k = h.spheroid.aspect_ratio
-        top = h.degree - 1
-        plus, minus = m + 1, abs(m - 1)
-        sizes = [max(top + 1 - order, 0) for order in (plus, minus, m)]
+        h, k = self.harmonics, self.grid.spheroid.aspect_ratio
+        values, d_rho, d_z = self._surface
+        fine, weights, on_fine = self._fine
+        theta = self.grid.theta
+        rho, z = k * np.sin(theta), np.cos(theta)
         columns, moments = [], []
-        rho, z = k * np.sin(self.theta), np.cos(self.theta)
-        fine_rho, fine_z = k * np.sin(self.fine), np.cos(self.fine)
-        v, v_rho, v_z = self.surface
-        c_value, c_rho, c_z = v[m], v_rho[m], v_z[m]
-        for part, order in enumerate((plus, minus, m)):
-            for n in range(order, top + 1):
+        for part, order in enumerate((m + 1, abs(m - 1), m)):
+            factor = np.cos(fine) if part == 2 else 0.5 * k * np.sin(fine)
+            for n in range(order, self.degree + 1):
                 g = h.gain[order, n]
-                e, e_rho, e_z = g * v[order, n], g * v_rho[order, n], g * v_z[order, n]
-                factor = fine_z if part == 2 else 0.5 * fine_rho
-                moment = self.on_fine[m] @ (self.fine_weights * factor * self.on_fine[order, n])
-                c = h.gain[m] * moment
-                moments.append(c)
-                u = np.stack([c @ c_rho, (m / rho) * (c @ c_value), c @ c_z])
+                e, e_rho, e_z = g * values[order, n], g * d_rho[order, n], g * d_z[order, n]
+                c = h.gain[m] * (on_fine[m] @ (weights * factor * on_fine[order, n]))
+                u = np.stack([c @ d_rho[m], (m / rho) * (c @ values[m]), c @ d_z[m]])
                 if part == 2:
                     u += np.stack([-z * e_rho, -(m * z / rho) * e, e - z * e_z])
                 else:
                     sign = 1.0 if part == 0 else -1.0
-                    signed = m + sign
-                    u += 0.5 * np.stack([e - rho * e_rho, -sign * e - signed * e, -rho * e_z])
-                columns.append((u * scale).ravel())
+                    u += 0.5 * np.stack([e - rho * e_rho, -(m + 2.0 * sign) * e, -rho * e_z])
+                columns.append((u * self._scale).ravel())
+                moments.append(c)
+        if not columns:
+            return np.zeros((0, 3 * theta.size)), np.zeros((0, h.degree + 1))
         matrix = np.stack(columns, axis=1)
-        unknowns = np.linalg.lstsq(matrix, data, rcond=_RANK_TOLERANCE)[0]
-        begin = 0
-        for part, order in enumerate((plus, minus, m)):
-            a = unknowns[begin : begin + sizes[part]] * h.gain[order, order : top + 1]
-            begin += sizes[part]
-            here = coefficients[order, order : top + 1]
-            if part == 2:
-                here[:, 2] += (1.0 if m == 0 else 2.0) * a
-            elif part == 0:
-                here[:, 0] += a
-                here[:, 1] += -1j * a
-            elif m > 0:
-                here[:, 0] += a
-                here[:, 1] += 1j * a
-        coefficients[m, :, 3] += (1.0 if m == 0 else 2.0) * (unknowns @ np.stack(moments))
+        return np.linalg.pinv(matrix, rcond=_RANK_TOLERANCE), np.stack(moments)
+
+    @cached_property
+    def _surface(self) -> tuple[Array, Array, Array]:
+        return self.harmonics.surface(self.grid.theta)
+
+    @cached_property
+    def _fine(self) -> tuple[Array, Array, Array]:
+        """Nodes, weights and harmonics that multiply a density by the position exactly."""
+        x, w = np.polynomial.legendre.leggauss(self.degree + 3)
+        theta = np.arccos(-x)
+        return theta, w, self.harmonics.polar(theta)

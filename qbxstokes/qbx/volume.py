@@ -63,7 +63,6 @@ class LayerPotentials:
         grid, k = self.grid, self.grid.spheroid.aspect_ratio
         modes = to_modes(self.density, grid.n_theta, grid.n_phi).reshape(-1, 3, grid.n_theta)
         modes = modes[: (grid.n_phi + 1) // 2].copy()
-        modes[:, 1] *= 1j
         modes[1:] *= 2.0
         rho, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
         out = np.full((len(points), 10), np.nan)

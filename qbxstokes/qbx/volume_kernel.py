@@ -110,7 +110,8 @@ def potentials(  # type: ignore[no-untyped-def]
 
     target: (rho, z). Source rule as in `panels`: azimuthal nodes on [0, pi] whose weights count
     both halves; the density is not symmetric and is summed over both.
-    double_modes (n_modes, 3, n_theta, complex): cylindrical modes of psi, rotated to the target.
+    double_modes (n_modes, 3, n_theta, complex): modes of psi as (rho, phi / i, z), turned so that
+    the target is at phi = 0; the real part of their sum is meant.
     force (6,): the single layer's density is (force[:3] + force[3:] x y) sin(theta) dtheta dphi,
     with the factor 1/(8 pi).
     order < 0: the plain kernel. Otherwise an expansion about the centre at the distance radius
@@ -140,12 +141,21 @@ def potentials(  # type: ignore[no-untyped-def]
         c = math.cos(theta)
         polar_interpolation(theta, grid_theta, barycentric, cosine, even, odd)
         for m in range(n_modes):
-            for a in range(3):
-                weights = even if (m % 2 == 0) == (a == 2) else odd
-                total = complex(0.0, 0.0)
-                for j in range(n_theta):
-                    total += weights[j] * double_modes[m, a, j]
-                amplitude[m, a] = total
+            # The same rule as in `kernel.target_row`: z as sin^m, rho -+ phi / i as sin^(m -+ 1).
+            along, across = (even, odd) if m % 2 == 0 else (odd, even)
+            ar = complex(0.0, 0.0)
+            ap = complex(0.0, 0.0)
+            az = complex(0.0, 0.0)
+            for j in range(n_theta):
+                square = (s / math.sin(grid_theta[j])) ** 2 if cosine and m > 0 else 1.0
+                same = 0.5 * (1.0 + square) * across[j]
+                other = 0.5 * (1.0 - square) * across[j]
+                ar += same * double_modes[m, 0, j] + other * double_modes[m, 1, j]
+                ap += same * double_modes[m, 1, j] + other * double_modes[m, 0, j]
+                az += along[j] * double_modes[m, 2, j]
+            amplitude[m, 0] = ar
+            amplitude[m, 1] = 1j * ap
+            amplitude[m, 2] = az
         half = math.sin(0.5 * (theta - theta_foot))
         middle = 0.5 * (theta + theta_foot)
         ds = 2.0 * math.cos(middle) * half
@@ -221,22 +231,22 @@ def potentials(  # type: ignore[no-untyped-def]
                 gx = i2 * (ux * ta - xx * tb)
                 gy = i2 * uy * ta
                 gz = i2 * (uz * ta - xz * tb)
-                # Double layer: a = (r.n) psi + (r.psi) n.
+                # Double layer: a = (r.n) psi + (r.psi) n, here (sx, sy, sz).
                 rn = rx * nx + ry * ny + rz * nz
                 rp = rx * px + ry * py + rz * pz
-                ax = rn * px + rp * nx
-                ay = rn * py + rp * ny
-                az = rn * pz + rp * nz
-                ua = ux * ax + uy * ay + uz * az
-                xa = xx * ax + xz * az
+                sx = rn * px + rp * nx
+                sy = rn * py + rp * ny
+                sz = rn * pz + rp * nz
+                ua = ux * sx + uy * sy + uz * sz
+                xa = xx * sx + xz * sz
                 e1 = i3 * (t2a * ua - t2b * xa)
                 e2 = i3 * (t2c * xa - t2b * ua)
                 e3 = -i3 * tb
                 pg = px * gx + py * gy + pz * gz
                 ng = nx * gx + ny * gy + nz * gz
-                result[0] += nx * pg + px * ng - (ux * e1 + xx * e2 + ax * e3)
-                result[1] += ny * pg + py * ng - (uy * e1 + ay * e3)
-                result[2] += nz * pg + pz * ng - (uz * e1 + xz * e2 + az * e3)
+                result[0] += nx * pg + px * ng - (ux * e1 + xx * e2 + sx * e3)
+                result[1] += ny * pg + py * ng - (uy * e1 + sy * e3)
+                result[2] += nz * pg + pz * ng - (uz * e1 + xz * e2 + sz * e3)
                 un = ux * nx + uy * ny + uz * nz
                 up = ux * px + uy * py + uz * pz
                 xn = xx * nx + xz * nz
@@ -272,22 +282,22 @@ def potentials(  # type: ignore[no-untyped-def]
                     + 2 * c2 * ux * xx
                     + c3 * xx * xx
                     + c4
-                    + 2 * ax * (c5 * ux + c6 * xx)
+                    + 2 * sx * (c5 * ux + c6 * xx)
                 )
-                result[5] += c1 * uy * uy + c4 + 2 * c5 * ay * uy
+                result[5] += c1 * uy * uy + c4 + 2 * c5 * sy * uy
                 result[6] += (
                     c1 * uz * uz
                     + 2 * c2 * uz * xz
                     + c3 * xz * xz
                     + c4
-                    + 2 * az * (c5 * uz + c6 * xz)
+                    + 2 * sz * (c5 * uz + c6 * xz)
                 )
-                result[7] += c1 * ux * uy + c2 * uy * xx + c5 * (ax * uy + ay * ux) + c6 * ay * xx
+                result[7] += c1 * ux * uy + c2 * uy * xx + c5 * (sx * uy + sy * ux) + c6 * sy * xx
                 result[8] += (
                     c1 * ux * uz
                     + c2 * (ux * xz + uz * xx)
                     + c3 * xx * xz
-                    + c5 * (ax * uz + az * ux)
-                    + c6 * (ax * xz + az * xx)
+                    + c5 * (sx * uz + sz * ux)
+                    + c6 * (sx * xz + sz * xx)
                 )
-                result[9] += c1 * uy * uz + c2 * uy * xz + c5 * (ay * uz + az * uy) + c6 * ay * xz
+                result[9] += c1 * uy * uz + c2 * uy * xz + c5 * (sy * uz + sz * uy) + c6 * sy * xz
