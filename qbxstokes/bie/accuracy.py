@@ -13,10 +13,11 @@ coefficients of the adjoint densities.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +43,7 @@ from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
     Side,
+    UniformScheme,
     impose_rigid_motions,
     independent_rows,
     layer_rows,
@@ -102,6 +104,32 @@ class AccurateBody:
     model: BodyModel
     functional: ModalFunctional
     scheme: Scheme
+
+    def to_arrays(self) -> dict[str, Array]:
+        """Plain arrays that hold it, for storage; `from_arrays` restores it."""
+        names = [field.name for field in fields(self.scheme)]
+        values = [getattr(self.scheme, name) for name in names]
+        return {
+            **{f"model_{name}": value for name, value in self.model.to_arrays().items()},
+            **{f"weight_{name}": value for name, value in self.functional.weights.items()},
+            "scheme": np.array(json.dumps([type(self.scheme).__name__, values])),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> AccurateBody:
+        """Body of the arrays that `to_arrays` made."""
+        parts: dict[str, dict[str, Array]] = {"model": {}, "weight": {}}
+        for name, value in arrays.items():
+            kind, _, rest = name.partition("_")
+            if kind in parts:
+                parts[kind][rest] = value
+        model = BodyModel.from_arrays(parts["model"])
+        kind, values = json.loads(str(arrays["scheme"]))
+        scheme: Scheme = {"GradedScheme": GradedScheme, "UniformScheme": UniformScheme}[kind](
+            *values
+        )
+        grid = scheme.grid(Spheroid(model.aspect_ratio), 3)
+        return cls(model, ModalFunctional(grid, parts["weight"]), scheme)
 
 
 def accurate_body(
@@ -206,7 +234,8 @@ def estimate_error(
     return ErrorParts(
         quadrature=model_distance(body.model, by_panels.model),
         truncation=model_distance(by_panels.model, by_order.model),
-        resolution=adjoint_tail(body.functional),
+        # Of the finest panels, whose quadrature adds the least to the coefficients.
+        resolution=adjoint_tail(by_order.functional),
         solver=solver,
         rounding=_rounding(body, completion),
     )
@@ -227,7 +256,7 @@ def model_distance(one: BodyModel, other: BodyModel) -> float:
         float(np.sum(np.abs(f.cubic - g.cubic))) / area,
     )
     numbers = zip(vars(one.resistance).values(), vars(other.resistance).values(), strict=True)
-    return motion + max(abs(a / b - 1.0) for a, b in numbers)
+    return float(motion + max(abs(a / b - 1.0) for a, b in numbers))
 
 
 def adjoint_tail(functional: ModalFunctional) -> float:

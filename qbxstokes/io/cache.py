@@ -1,0 +1,136 @@
+"""Operators and functionals on disk, kept between runs.
+
+One entry is one `.npz` file named after the hash of its key. The key holds everything that
+determines the arrays: body, scheme, what was solved, and a fingerprint of the sources that compute
+them; so an entry never has to be invalidated, only found or not. Entries are written to a file of
+their own name beside the target and moved over it, which other ranks and processes see at once or
+not at all. An entry that cannot be read, or that holds another key than its name promises, is told
+in `problems` and counts as missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT_VERSION = 1
+ENVIRONMENT = "QBXSTOKES_CACHE"
+# Packages whose sources determine the arrays.
+_NUMERICAL = ("geometry", "qbx", "bie")
+_KEY = "key"
+
+
+def default_folder() -> Path | None:
+    """The user's cache folder; QBXSTOKES_CACHE names another, or none if it is empty.
+
+    XDG Base Directory Specification on Unix, ~/Library/Caches on macOS, LOCALAPPDATA on Windows.
+    """
+    named = os.environ.get(ENVIRONMENT)
+    if named is not None:
+        return Path(named).expanduser() if named else None
+    try:
+        home = Path.home()
+    except RuntimeError:
+        return None
+    if sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    else:
+        named = os.environ.get("XDG_CACHE_HOME", "")
+        # The specification has relative paths ignored.
+        base = Path(named) if os.path.isabs(named) else home / ".cache"
+    return base / "qbxstokes"
+
+
+@cache
+def fingerprint() -> str:
+    """Hash of the sources that compute what is kept: a changed formula finds no old entry."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for package in _NUMERICAL:
+        for path in sorted((root / package).glob("*.py")):
+            digest.update(path.name.encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+class Cache:
+    """Entries in one folder; with `folder` None nothing is found and nothing kept.
+
+    problems: one line for each entry that was damaged or could not be written. found, stored:
+    counts.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self.problems: list[str] = []
+        self.found = 0
+        self.stored = 0
+
+    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The arrays kept under this key, None if there are none or they are damaged."""
+        if self.folder is None:
+            return None
+        text = _text(kind, key)
+        path = self._path(kind, text)
+        try:
+            # Reading a member checks its CRC, so that truncation and flipped bits are seen.
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, SyntaxError) as error:
+            reason = " ".join(str(error).split())
+            self.problems.append(f"{path}: unreadable ({reason}); computed anew")
+            return None
+        except Exception as error:  # zlib.error and what else a damaged header provokes
+            self.problems.append(f"{path}: unreadable ({type(error).__name__}); computed anew")
+            return None
+        if not isinstance(arrays, dict) or str(arrays.pop(_KEY, "")) != text:
+            self.problems.append(f"{path}: not the entry that its name promises; computed anew")
+            return None
+        self.found += 1
+        return arrays
+
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep the arrays under this key; a folder that cannot be written is told, no more."""
+        if self.folder is None:
+            return
+        text = _text(kind, key)
+        path = self._path(kind, text)
+        temporary = ""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(suffix=".part", dir=self.folder)
+            with os.fdopen(handle, "wb") as stream:
+                np.savez(stream, **{_KEY: np.array(text)}, **arrays)
+            os.replace(temporary, path)
+            self.stored += 1
+        except OSError as error:
+            if temporary:
+                with contextlib.suppress(OSError):
+                    os.unlink(temporary)
+            self.problems.append(f"{path}: not written ({error.strerror or error})")
+
+    def _path(self, kind: str, text: str) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
+
+
+def _text(kind: str, key: Mapping[str, Any]) -> str:
+    """The key as text: floats by their shortest exact form, keys in order."""
+    whole = {"format": FORMAT_VERSION, "sources": fingerprint(), "kind": kind, **key}
+    return json.dumps(whole, sort_keys=True, allow_nan=False)

@@ -1,0 +1,187 @@
+"""What is kept on disk: found again, never trusted when damaged, safe under many writers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from qbxstokes.io import cache as cache_module
+from qbxstokes.io.cache import Cache, default_folder
+
+KEY = {"aspect_ratio": 0.1, "scheme": {"n_theta": 6}}
+ARRAYS = {"weights": np.arange(6.0).reshape(2, 3), "size": np.array(3)}
+
+
+def entry(folder):
+    (path,) = folder.glob("*.npz")
+    return path
+
+
+def test_what_is_stored_is_found_bit_by_bit(tmp_path):
+    kept = Cache(tmp_path / "new" / "folder")
+    assert kept.load("body", KEY) is None
+    kept.store("body", KEY, ARRAYS)
+    found = Cache(kept.folder).load("body", KEY)
+    assert found is not None
+    assert set(found) == set(ARRAYS)
+    assert all(np.array_equal(found[name], ARRAYS[name]) for name in ARRAYS)
+    assert kept.problems == []
+    assert [path.suffix for path in kept.folder.iterdir()] == [".npz"]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {**KEY, "aspect_ratio": 0.1 + 1e-17 + 2e-17},
+        {**KEY, "aspect_ratio": np.nextafter(0.1, 1.0)},
+        {**KEY, "scheme": {"n_theta": 8}},
+        {**KEY, "more": None},
+    ],
+)
+def test_any_difference_of_the_key_is_another_entry(tmp_path, other):
+    kept = Cache(tmp_path)
+    kept.store("body", KEY, ARRAYS)
+    same = other["aspect_ratio"] == 0.1 and other == KEY
+    assert (kept.load("body", other) is not None) == same
+    assert kept.load("operator", KEY) is None
+
+
+def test_changed_sources_or_format_find_nothing(tmp_path, monkeypatch):
+    kept = Cache(tmp_path)
+    kept.store("body", KEY, ARRAYS)
+    monkeypatch.setattr(cache_module, "FORMAT_VERSION", cache_module.FORMAT_VERSION + 1)
+    assert kept.load("body", KEY) is None
+    monkeypatch.undo()
+    monkeypatch.setattr(cache_module, "fingerprint", lambda: "other sources")
+    assert kept.load("body", KEY) is None
+    monkeypatch.undo()
+    assert kept.load("body", KEY) is not None
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+def flipped(path):
+    data = bytearray(path.read_bytes())
+    where = data.find(np.arange(6.0).tobytes())
+    data[where + 9] ^= 0x10
+    path.write_bytes(bytes(data))
+
+
+def foreign(path):
+    path.write_bytes(b"HDF\r\n" * 100)
+
+
+def of_another_body(path):
+    Cache(path.parent).store("body", {**KEY, "aspect_ratio": 7.0}, ARRAYS)
+    (other,) = (each for each in path.parent.glob("*.npz") if each != path)
+    os.replace(other, path)
+
+
+def plain_array(path):
+    np.save(path.with_suffix(".npy"), np.arange(3.0))
+    os.replace(path.with_suffix(".npy"), path)
+
+
+def pickled(path):
+    np.savez(path, key=np.array({"a": 1}, dtype=object))
+
+
+@pytest.mark.parametrize(
+    "damage", [truncated, empty, flipped, foreign, of_another_body, plain_array, pickled]
+)
+def test_damage_is_told_and_mended(tmp_path, damage):
+    kept = Cache(tmp_path)
+    kept.store("body", KEY, ARRAYS)
+    path = entry(tmp_path)
+    damage(path)
+    again = Cache(tmp_path)
+    assert again.load("body", KEY) is None
+    (problem,) = again.problems
+    assert str(path) in problem
+    assert problem.endswith("computed anew")
+    again.store("body", KEY, ARRAYS)
+    assert Cache(tmp_path).load("body", KEY) is not None
+
+
+def test_a_folder_that_cannot_be_used_costs_no_run(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    kept = Cache(tmp_path / "file" / "below")
+    kept.store("body", KEY, ARRAYS)
+    assert "not written" in kept.problems[0]
+    assert kept.load("body", KEY) is None
+
+
+def test_without_a_folder_nothing_is_kept():
+    kept = Cache(None)
+    kept.store("body", KEY, ARRAYS)
+    assert kept.load("body", KEY) is None
+    assert kept.problems == []
+
+
+WRITER = """
+import sys, numpy as np
+from pathlib import Path
+from qbxstokes.io.cache import Cache
+kept, bad = Cache(Path(sys.argv[1])), 0
+arrays = {"weights": np.arange(200_000.0)}
+for _ in range(15):
+    kept.store("body", {"k": 1}, arrays)
+    found = kept.load("body", {"k": 1})
+    bad += found is None or not np.array_equal(found["weights"], arrays["weights"])
+sys.exit(bool(bad or kept.problems))
+"""
+
+
+def test_many_processes_write_and_read_at_once(tmp_path):
+    root = str(Path(cache_module.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": root}
+    command = [sys.executable, "-c", WRITER, str(tmp_path)]
+    writers = [subprocess.Popen(command, env=environment) for _ in range(4)]
+    assert [writer.wait(timeout=60) for writer in writers] == [0, 0, 0, 0]
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_folder_of_the_user(monkeypatch, tmp_path):
+    monkeypatch.setenv("QBXSTOKES_CACHE", str(tmp_path))
+    assert default_folder() == tmp_path
+    monkeypatch.setenv("QBXSTOKES_CACHE", "")
+    assert default_folder() is None
+    monkeypatch.delenv("QBXSTOKES_CACHE")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_folder() == tmp_path / "qbxstokes"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_folder() == tmp_path / ".cache" / "qbxstokes"
+
+
+def test_a_warm_start_takes_milliseconds(tmp_path):
+    from qbxstokes.bie.accuracy import AccurateBody, accurate_body
+    from qbxstokes.geometry.spheroid import Spheroid
+
+    body = accurate_body(Spheroid(0.5), 1e-10)
+    Cache(tmp_path).store("body", KEY, body.to_arrays())
+    best = np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        arrays = Cache(tmp_path).load("body", KEY)
+        again = AccurateBody.from_arrays(arrays)
+        best = min(best, time.perf_counter() - start)
+    assert best < 0.02
+    assert again.model.resistance == body.model.resistance
+    assert again.model.error_parts == body.model.error_parts
+    assert again.scheme == body.scheme
+    for name, weight in body.functional.weights.items():
+        assert np.array_equal(again.functional.weights[name], weight)
