@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 # Orbit constants from here on are infinite but for rounding: the axis is in the plane of shear.
 _TUMBLING = 1e8
 
+# Relaxation times in a run up to which the explicit reference integration takes seconds.
+_STIFFEST = 2e4
+
 
 @dataclass
 class Comparison:
@@ -66,11 +69,24 @@ def compare(
             _jeffery_orbit(found, case, flow, times, samples)
         elif not _chwang_plane(found, case, flow, times, samples):
             found.note = "no closed form for the path in this flow; its velocities are compared"
+    elif stiffness(case, times) > _STIFFEST:
+        found.note = "reference left out: too stiff for its explicit integration"
     elif polynomial.degree <= 1:
         _inertial_rotation(found, case, polynomial, times, samples)
     elif not _chwang_plane(found, case, flow, times, samples):
         found.note = "no closed form for an inertial body in this flow and orientation"
     return found
+
+
+def stiffness(case: Case, times: Array) -> float:
+    """Duration over the shortest relaxation time of an inertial body."""
+    from qbxstokes.reference import inertial
+
+    k = case.body.aspect_ratio
+    moments = inertial.inertia(k)
+    masses = np.array([inertial.volume(k), inertial.volume(k), moments[0], moments[2]])
+    rates = np.array(faxen.resistance(k)) / (case.body.stokes_number * masses)
+    return float(rates.max() * times[-1])
 
 
 def _resistance(found: Comparison, model: BodyModel) -> None:
