@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from qbxstokes.app.plan import Plan
+from qbxstokes.bie.accuracy import (
+    AccurateBody,
+    RowFormer,
+    accurate_body,
+    choose_scheme,
+    resolving_nodes,
+)
 from qbxstokes.bie.functional import BodyModel
-from qbxstokes.config.hydrodynamics import Hydrodynamics
+from qbxstokes.config.hydrodynamics import GRADED_KEYS, Hydrodynamics
 from qbxstokes.config.load import LoadedCase
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, FlowError
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.io.cache import Cache, default_folder
+from qbxstokes.qbx.operator import (
+    GradedScheme,
+    Scheme,
+    UniformScheme,
+    independent_rows,
+    layer_rows,
+)
 
-# Flows that are not polynomial excite every mode; this grid resolves a point singularity two body
-# lengths away to rounding.
-_N_THETA_GENERAL = 32
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
 _TIGHTEST_SOLVE = 1e-14
+# Share of the tolerance that the grid of a flow that is not polynomial may take.
+_FLOW_SHARE = 0.1
 
 
 @dataclass
@@ -27,6 +44,7 @@ class Hydrodynamic:
     provider: Any
     facts: dict[str, Any] = field(default_factory=dict)
     solvers: list[Any] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
     def solves(self) -> dict[str, Any]:
         """Number of GMRES solves so far, their iterations and worst true residual."""
@@ -39,50 +57,163 @@ class Hydrodynamic:
         }
 
 
-def form_hydrodynamics(loaded: LoadedCase, plan: Plan) -> Hydrodynamic:
-    """Form operators, solve the adjoint problems, and choose what a time step evaluates."""
-    from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
-    from qbxstokes.bie.providers import GridMotion, SolveMotion
-    from qbxstokes.geometry.spheroid import Spheroid
-    from qbxstokes.petsc.gmres import GmresSolver
+def form_hydrodynamics(
+    loaded: LoadedCase,
+    plan: Plan,
+    form_rows: RowFormer = layer_rows,
+    cache: Cache | None = None,
+) -> Hydrodynamic:
+    """Form operators, solve the adjoint problems, and choose what a time step evaluates.
 
-    section, flow = loaded.case.hydrodynamics, loaded.flow
-    scheme = scheme_of(loaded, plan)
-    tolerance = solver_tolerance(section)
-    solvers: list[GmresSolver] = []
-
-    def solver(operator: Any, grid: Any) -> GmresSolver:
-        solvers.append(GmresSolver(operator, grid, tolerance, section.preconditioner))
-        return solvers[-1]
-
-    n_phi = 3 if plan.hydrodynamics != "every_step" else azimuthal_nodes(loaded, scheme.n_theta)
-    spheroid = Spheroid(loaded.case.body.aspect_ratio)
-    try:
-        operators = surface_operators(spheroid, scheme, n_phi, section.completion)
-    except CaseError as error:
-        raise loaded.error("hydrodynamics", str(error)) from None
-    model = form_body_model(operators, solver)
-    provider: Any = flow.polynomial
-    if plan.hydrodynamics == "every_step":
-        provider = SolveMotion(operators, flow, solver)
-    elif plan.hydrodynamics == "grid":
-        functional = modal_functional(operators, solver)
-        provider = GridMotion(functional.on_grid(azimuthal_nodes(loaded, scheme.n_theta)), flow)
-    facts = {
-        "scheme": section.scheme,
-        **{name: value for name, value in vars(scheme).items() if not name.startswith("_")},
-        "n_phi": n_phi,
-        "completion": section.completion,
-        "gmres_tolerance": tolerance,
-    }
-    return Hydrodynamic(model, provider, facts, solvers)
+    form_rows: what forms rows, several ranks perhaps. cache: where results are kept, if anywhere.
+    """
+    return _Former(loaded, plan, form_rows, cache or Cache(None)).form()
 
 
-def scheme_of(loaded: LoadedCase, plan: Plan) -> Any:
-    """The quadrature scheme of the case: what it sets, and the scheme's own choice of the rest."""
-    from qbxstokes.qbx.operator import GradedScheme, UniformScheme
+def open_cache(loaded: LoadedCase, off: bool = False) -> Cache:
+    """The cache of a run: folder of the case, of QBXSTOKES_CACHE, or of the user, in this order."""
+    named = loaded.case.hydrodynamics.cache
+    return Cache(None if off else Path(named).expanduser() if named else default_folder())
 
-    section = loaded.case.hydrodynamics
+
+class _Former:
+    """The steps of `form_hydrodynamics`, which share the case and what has been formed so far."""
+
+    def __init__(self, loaded: LoadedCase, plan: Plan, form_rows: RowFormer, cache: Cache) -> None:
+        self._loaded, self._plan, self._cache = loaded, plan, cache
+        self._form_rows = form_rows
+        self._section = loaded.case.hydrodynamics
+        self._flow = loaded.flow
+        self._spheroid = Spheroid(loaded.case.body.aspect_ratio)
+        self._residual = solver_tolerance(self._section)
+        self._solvers: list[Any] = []
+
+    def form(self) -> Hydrodynamic:
+        found = self._cache.found
+        body = self._body()
+        facts = {
+            "scheme": self._section.scheme,
+            "completion": self._section.completion,
+            "gmres_tolerance": self._residual,
+            "cache": "found" if self._cache.found > found else "formed",
+            **vars(body.scheme),
+        }
+        if body.model.error_parts is not None:
+            facts["error_parts"] = asdict(body.model.error_parts)
+        provider: Any = self._flow.polynomial
+        if self._plan.hydrodynamics == "every_step":
+            provider = self._solve_motion(body, facts)
+        elif self._plan.hydrodynamics == "grid":
+            provider = self._grid_motion(body, facts)
+        return Hydrodynamic(body.model, provider, facts, self._solvers, self._cache.problems)
+
+    def _body(self) -> AccurateBody:
+        """The body model and its functional, from the cache if it has them."""
+        section = self._section
+        scheme = explicit_scheme(section)
+        key = {
+            "aspect_ratio": self._spheroid.aspect_ratio,
+            "tolerance": section.tolerance,
+            "side": side_of(section),
+            "scheme": None if scheme is None else [section.scheme, asdict(scheme)],
+            "completion": section.completion,
+            "residual": self._residual,
+            "preconditioner": section.preconditioner,
+        }
+        arrays = self._cache.load("body", key)
+        if arrays is not None:
+            return AccurateBody.from_arrays(arrays)
+        try:
+            body = accurate_body(
+                self._spheroid,
+                section.tolerance,
+                scheme,
+                side=side_of(section),
+                strict="tolerance" in section.model_fields_set,
+                completion=section.completion,
+                solver=self._solver,
+                form_rows=self._form_rows,
+            )
+        except CaseError as error:
+            raise self._loaded.error("hydrodynamics", str(error)) from None
+        self._cache.store("body", key, body.to_arrays())
+        return body
+
+    def _solver(self, operator: Any, grid: Any) -> Any:
+        from qbxstokes.petsc.gmres import GmresSolver
+
+        solver = GmresSolver(operator, grid, self._residual, self._section.preconditioner)
+        self._solvers.append(solver)
+        return solver
+
+    def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
+        from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion
+
+        if body.functional.grid.nodes != "cosine" or self._section.n_phi is not None:
+            n_phi = self._section.n_phi or 2 * body.functional.grid.n_theta
+            return GridMotion(body.functional.on_grid(n_phi), self._flow)
+        n_theta, n_phi, error = self._nodes(body)
+        facts |= {"flow_nodes": [n_theta, n_phi], "flow_error": error}
+        if not len(self._flow.singular_points):
+            return GridMotion(body.functional.on_grid(n_phi, n_theta), self._flow)
+        share = _FLOW_SHARE * self._section.tolerance
+        motion = AdaptiveGridMotion(body.functional, self._flow, share)
+        motion.calibrate(self._plan.position, self._plan.quaternion, n_theta)
+        return motion
+
+    def _nodes(self, body: AccurateBody) -> tuple[int, int, float]:
+        """Nodes that resolve the flow on the surface at the start, and the error they leave."""
+        turn = rotation.matrix(self._plan.quaternion)
+
+        def velocity(points: Any) -> Any:
+            return self._flow.velocity(self._plan.position + points @ turn.T, 0.0) @ turn
+
+        try:
+            return resolving_nodes(body.functional, velocity, _FLOW_SHARE * self._section.tolerance)
+        except FlowError as error:
+            raise self._loaded.error("flow", str(error), "move the body away") from None
+
+    def _solve_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
+        from qbxstokes.bie.operators import surface_operators
+        from qbxstokes.bie.providers import SolveMotion
+
+        scheme: Scheme = body.scheme
+        degree, n_phi = self._flow.degree, self._section.n_phi
+        if isinstance(scheme, GradedScheme) and degree is None:
+            n_theta, needed, error = self._nodes(body)
+            facts |= {"flow_nodes": [n_theta, needed], "flow_error": error}
+            n_phi = n_phi or needed
+            if explicit_scheme(self._section) is None and n_theta > scheme.n_theta:
+                scheme = choose_scheme(self._section.tolerance, n_theta, scheme.side)
+        # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing.
+        n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4)
+        facts |= {**vars(scheme), "n_phi": n_phi}
+        spread = self._section.completion == "surface"
+        n_modes = n_phi // 2 + 1
+        key = {
+            "aspect_ratio": self._spheroid.aspect_ratio,
+            "scheme": [self._section.scheme, asdict(scheme)],
+            "n_modes": n_modes,
+            "single": spread,
+        }
+        arrays = self._cache.load("operator", key)
+        if arrays is None:
+            wanted = independent_rows(scheme.n_theta)
+            rows = self._form_rows(self._spheroid, scheme, n_modes, wanted, spread)
+            self._cache.store("operator", key, {"double": rows[0], "single": rows[1]})
+        else:
+            rows = arrays["double"], arrays["single"]
+        operators = surface_operators(self._spheroid, scheme, n_phi, self._section.completion, rows)
+        return SolveMotion(operators, self._flow, self._solver)
+
+
+def side_of(section: Hydrodynamics) -> Any:
+    """Side of the expansions: as asked, else inner, or both for the uniform scheme."""
+    return section.expansion or ("inner" if section.scheme == "graded" else "average")
+
+
+def explicit_scheme(section: Hydrodynamics) -> Scheme | None:
+    """The scheme of the numbers that the case sets, completed from the tolerance; or None."""
     if section.scheme == "uniform":
         return UniformScheme(
             n_theta=section.n_theta or 0,
@@ -90,22 +221,15 @@ def scheme_of(loaded: LoadedCase, plan: Plan) -> Any:
             expansion_order=section.expansion_order or 0,
             r_over_h=section.r_over_h or 0.0,
             upsampling=section.upsampling or 0,
-            side=section.expansion,
+            side=side_of(section),
         )
-    names = ("n_theta", "expansion_order", "radius_factor", "panel_order", "panel_ratio")
+    names = ("n_theta", "expansion_order", *GRADED_KEYS)
     chosen = {name: getattr(section, name) for name in names if getattr(section, name) is not None}
-    if loaded.flow.degree is None:
-        chosen.setdefault("n_theta", _N_THETA_GENERAL)
-    return GradedScheme(**chosen, side=section.expansion)
-
-
-def azimuthal_nodes(loaded: LoadedCase, n_theta: int) -> int:
-    """Azimuthal nodes of the grid on which the flow is evaluated.
-
-    A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing.
-    """
-    degree, asked = loaded.flow.degree, loaded.case.hydrodynamics.n_phi
-    return asked or (2 * n_theta if degree is None else 2 * degree + 4)
+    if not chosen:
+        return None
+    nodes = {"n_theta": section.n_theta} if section.n_theta else {}
+    rest = choose_scheme(section.tolerance, side=side_of(section), **nodes)
+    return GradedScheme(**{**asdict(rest), **chosen})
 
 
 def solver_tolerance(section: Hydrodynamics) -> float:

@@ -56,14 +56,16 @@ POLYNOMIAL_NODES = 6
 # log10 of the quadrature error of inner expansions (order 8, radius factor 0.3, panel ratio 0.7) is
 # at most LOSS - GAIN * panel_order over 1/50 <= k <= 50; scanned in steps of 2 from 6 to 12.
 _GAIN, _LOSS = 1.4, 4.0
-# The same for outer and averaged expansions of radius factor 0.1, and digits per order there.
+# With more nodes an expansion of order n_theta + 2 costs more than one that truncates.
+_MOST_INNER_NODES = 10
+# The same for expansions that truncate, of radius factor 0.1, and digits per order there.
 _OUTER_GAIN, _OUTER_LOSS, _OUTER_DIGITS_PER_ORDER = 1.1, 4.0, 0.75
 # Digits by which the choice stays below the tolerance; the estimate decides whether they sufficed.
 _MARGIN = 1.5
 _MOST_PANEL_NODES = 30
 # Size of one rounding error of the assembled rows in units of eps times 4 pi; a few times what the
 # scatter of the results under changes of the panels shows.
-_ROUNDING = 1.0
+_ROUNDING = 0.2
 _PERTURBATIONS = 4
 # A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
 MOST_NODES = 160
@@ -88,10 +90,10 @@ def choose_scheme(
 ) -> GradedScheme:
     """Cheapest parameters of the scanned family whose error stays below the tolerance."""
     digits = -math.log10(min(tolerance, 0.1)) + _MARGIN
-    if side == "inner":
+    if side == "inner" and n_theta <= _MOST_INNER_NODES:
         order = max(4, math.ceil((digits + _LOSS) / _GAIN))
         return GradedScheme(n_theta, n_theta + 2, 0.3, min(order, _MOST_PANEL_NODES), 0.7, side)
-    expansion = max(n_theta + 2, math.ceil(digits / _OUTER_DIGITS_PER_ORDER) + 2)
+    expansion = math.ceil(digits / _OUTER_DIGITS_PER_ORDER) + 2
     # Every order of the expansion magnifies the quadrature's error a little more.
     order = math.ceil((digits + _OUTER_LOSS + 0.1 * expansion) / _OUTER_GAIN)
     return GradedScheme(n_theta, expansion, 0.1, min(order, _MOST_PANEL_NODES), 0.7, side)
@@ -135,8 +137,9 @@ class AccurateBody:
 def accurate_body(
     spheroid: Spheroid,
     tolerance: float,
-    scheme: GradedScheme | None = None,
+    scheme: Scheme | None = None,
     *,
+    side: Side = "inner",
     strict: bool = True,
     completion: Completion = "surface",
     solver: SolverFactory = DirectSolver,
@@ -144,11 +147,15 @@ def accurate_body(
 ) -> AccurateBody:
     """The body model to a relative tolerance, refined until the estimate meets it.
 
-    scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported.
+    scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported
+    (for the uniform scheme, only the misfit of the law for polynomial flows).
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
-    trial = scheme or choose_scheme(tolerance)
+    if isinstance(scheme, UniformScheme):
+        body = _form(spheroid, scheme, completion, solver, form_rows)
+        return AccurateBody(body.model, body.functional, scheme)
+    trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
         body = _form(spheroid, trial, completion, solver, form_rows)
         parts = estimate_error(body, completion, form_rows)

@@ -8,13 +8,17 @@ Polynomial flows need neither: their law is `FaxenCoefficients`.
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.functional import GridFunctional
-from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
+from qbxstokes.bie.accuracy import confocal_rate, flow_nodes
+from qbxstokes.bie.functional import GridFunctional, ModalFunctional
+from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
+from qbxstokes.errors import FlowError
 from qbxstokes.geometry.rotation import matrix
 
 Array = NDArray[np.float64]
@@ -44,6 +48,72 @@ class GridMotion:
         return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
 
 
+class SingularFlow(BackgroundFlow, Protocol):
+    """A flow that knows where it is singular."""
+
+    @property
+    def singular_points(self) -> Array:
+        """Singular points (m, 3) in space."""
+
+
+class AdaptiveGridMotion:
+    """Free motion in a flow with singular points, on a grid as fine as their distance asks for.
+
+    The nodes follow from the rate at which the flow's surface harmonics decay
+    (`accuracy.confocal_rate`), in steps of a quarter, so that each body of a batch and each instant
+    has the resolution it needs. Raises FlowError when a body comes so near to a singular point that
+    no admissible grid resolves the flow; `decay` tells how near it is before that happens.
+    """
+
+    def __init__(self, functional: ModalFunctional, flow: SingularFlow, tolerance: float) -> None:
+        self._functional, self._flow = functional, flow
+        self._tolerance, self._factor = tolerance, 1.0
+        self._levels: dict[tuple[int, int], GridMotion] = {}
+
+    def calibrate(self, x: Array, q: Array, n_theta: int) -> None:
+        """Scale the nodes so that a body at x (3,), q (4,) gets at least n_theta of them."""
+        predicted, _ = flow_nodes(float(self.decay(x[None], q[None])[0]), self._tolerance)
+        self._factor = max(1.0, n_theta / predicted)
+
+    def decay(self, x: Array, q: Array) -> Array:
+        """Rate (n,) per degree of the flow's harmonics on each body, 1 for a singular surface."""
+        arms = (self._flow.singular_points - x[:, None, :]) @ matrix(q)
+        rates = confocal_rate(self._functional.grid.spheroid.aspect_ratio, arms)
+        return np.asarray(np.max(rates, axis=1))
+
+    def nodes(self, x: Array, q: Array, t: float = 0.0) -> list[tuple[int, int]]:
+        """Polar and azimuthal nodes for each body. Raises FlowError where none suffice."""
+        needed = []
+        for rate, place in zip(self.decay(x, q).tolist(), x, strict=True):
+            try:
+                n_theta, n_phi = flow_nodes(rate, self._tolerance)
+            except FlowError as error:
+                where = ", ".join(f"{value:.6g}" for value in place)
+                raise FlowError(f"at t = {t:.6g}, body at ({where}): {error}") from None
+            needed.append((_step(self._factor * n_theta), _step(self._factor * n_phi)))
+        return needed
+
+    def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
+        u, omega = np.empty_like(x), np.empty_like(x)
+        needed = self.nodes(x, q, t)
+        for level in set(needed):
+            if level not in self._levels:
+                grid = self._functional.on_grid(level[1], level[0])
+                self._levels[level] = GridMotion(grid, self._flow)
+            chosen = [index for index, each in enumerate(needed) if each == level]
+            u[chosen], omega[chosen] = self._levels[level].free_motion(t, x[chosen], q[chosen])
+        return u, omega
+
+
+def _step(nodes: float) -> int:
+    """The next even number of nodes on a ladder with rungs about a quarter apart."""
+    rung = 6
+    while rung < nodes:
+        rung = 2 * math.ceil(0.625 * rung)
+    return rung
+
+
 class SolveMotion:
     """Free motion, or force and torque, by one solve of the integral equation per body and call."""
 
@@ -55,8 +125,16 @@ class SolveMotion:
     ) -> None:
         self._operators = operators
         self._flow = flow
-        self._mobility = solver(operators.mobility, operators.grid)
-        self._resistance = solver(operators.resistance, operators.grid)
+        self._solver = solver
+
+    # Each problem is set up when it is first posed: a massless body never poses the second.
+    @cached_property
+    def _mobility(self) -> Solver:
+        return self._solver(self._operators.mobility, self._operators.grid)
+
+    @cached_property
+    def _resistance(self) -> Solver:
+        return self._solver(self._operators.resistance, self._operators.grid)
 
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega (n, 3) in space of the mobility problem without force or torque."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from qbxstokes.config.base import Boolean, Integer, Number, Section, problem
+from qbxstokes.config.base import Boolean, Integer, Number, Section, Text, problem
 
 UNIFORM_KEYS = ("r_over_h", "upsampling")
 GRADED_KEYS = ("radius_factor", "panel_order", "panel_ratio")
@@ -47,8 +47,12 @@ class Hydrodynamics(Section):
     upsampling: Annotated[Integer, Field(ge=1, le=200)] | None = Field(
         default=None, description="upsampling factor of both directions (uniform)"
     )
-    expansion: Literal["average", "inner", "outer"] = Field(
-        default="average", description="side of the expansions: mean of both, or one and the jump"
+    expansion: Literal["average", "inner", "outer"] | None = Field(
+        default=None,
+        description=(
+            "side of the expansions: mean of both, or one and the jump; unset: inner (graded), "
+            "average (uniform)"
+        ),
     )
     completion: Literal["surface", "point"] = Field(
         default="surface",
@@ -62,6 +66,10 @@ class Hydrodynamics(Section):
         default=None, description="relative residual of GMRES; unset: from tolerance"
     )
     preconditioner: Boolean = Field(default=True, description="mode-wise preconditioner for GMRES")
+    cache: Text | None = Field(
+        default=None,
+        description="folder that keeps operators between runs; unset: the user's cache folder",
+    )
 
     @model_validator(mode="after")
     def _keys_fit_scheme(self) -> Hydrodynamics:
