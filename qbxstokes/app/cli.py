@@ -35,6 +35,8 @@ options of a run
   --explain           print what the scene needs and what it skips, then run
   --dry-run           print what would run, and stop
   --overwrite         replace an existing result file
+  --resume            go on with a sweep that was stopped, or mend its failures
+  --progress STYLE    how a sweep tells its progress: auto, bar, line, none
   --quiet             print nothing but errors
   --json              print the summary as JSON
   --version, --help
@@ -44,7 +46,7 @@ Exit status: 0 done, 1 the run failed, 2 the input is wrong.
 """
 
 # Options of ours that take the word after them; every other word with two dashes stands alone.
-_WITH_VALUE = ("--set", "--task")
+_WITH_VALUE = ("--set", "--task", "--progress")
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -91,7 +93,8 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("words", nargs="*")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")
-    for flag in ("explain", "dry-run", "overwrite", "quiet", "json", "version", "help"):
+    parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
+    for flag in ("explain", "dry-run", "overwrite", "resume", "quiet", "json", "version", "help"):
         parser.add_argument(f"--{flag}", action="store_true")
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--write", action="store_true")

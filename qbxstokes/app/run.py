@@ -32,12 +32,16 @@ def _run(
 
     def read() -> Any:
         loaded = load_case(path, options.set)
-        return loaded.document, make_plan(loaded, options.overwrite)
+        return loaded.document, loaded.space, make_plan(loaded, options.overwrite)
 
     with clock.part("read and plan"):
-        document, plan = on_root(comm, read)
-        loaded = from_document(document, path)
+        document, space, plan = on_root(comm, read)
+        loaded = from_document(document, path, space)
     speak = comm.rank == 0 and not (options.quiet or options.json)
+    if loaded.space is not None:
+        from qbxstokes.app.batch import sweep_command
+
+        return sweep_command(comm, loaded, options, petsc, clock)
     if speak and (options.explain or options.dry_run):
         print(explain(loaded, plan))
     if options.dry_run:

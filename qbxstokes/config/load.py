@@ -85,13 +85,14 @@ def _space(document: Document, folder: Path) -> SweepSpace:
                 if name != TABLE and section_at(parse_key(name)[:1]) is None:
                     close = nearest(name, [key for key, _ in _swept_keys()])
                     right = f"did you mean {close}?" if close else "a key such as body.aspect_ratio"
-                    key = ("sweep", "axes", number, name)
-                    raise document.error(key, "unknown key", right)
+                    where = ("sweep", "axes", number, name)
+                    raise document.error(where, "unknown key", right)
         return build_space(section.axes, folder)
     except ValidationError as error:
         entry = dict(error.errors(include_url=False)[0])
         entry["loc"] = ("sweep", *entry["loc"])
-        raise document.error(*_fault(document, entry)) from None
+        key, wrong, right = _fault(document, entry)
+        raise document.error(key, wrong, right) from None
     except SweepFault as fault:
         raise document.error(fault.key, fault.wrong, fault.right) from None
 

@@ -347,9 +347,9 @@ def _generated(key: Key, given: Mapping[str, Any], where: Key) -> Column:
     if kind == "logspace":
         if not min(pair) > 0:
             raise SweepFault((*where, kind), f"starts or ends at {min(pair):g}", "numbers > 0")
-        values = np.geomspace(*pair, count, endpoint=endpoint)
+        values = np.geomspace(pair[0], pair[1], count, endpoint=endpoint)
     else:
-        values = np.linspace(*pair, count, endpoint=endpoint)
+        values = np.linspace(pair[0], pair[1], count, endpoint=endpoint)
     return Column(key, where, values, size=count)
 
 

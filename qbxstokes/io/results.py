@@ -444,6 +444,10 @@ def load(path: str | Path) -> Result:
                     f"{path}: has format version {header['format_version']}, this program reads "
                     f"{FORMAT_VERSION}; update qbxstokes"
                 )
+            if header["task"] == "sweep":
+                from qbxstokes.io.sweep_result import read_sweep
+
+                return read_sweep(path, file, header)
             arrays: dict[str, NDArray[Any]] = {}
             attributes: dict[str, dict[str, Any]] = {}
             groups: dict[str, dict[str, Any]] = {}

@@ -1,0 +1,343 @@
+"""One block of a sweep: start states, integration, quantities and summaries of its trajectories."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.app.plan import orbit_axis, start_quaternion
+from qbxstokes.app.scenes import STOKES, Scene
+from qbxstokes.bie.functional import BodyModel
+from qbxstokes.config.sweep import Key
+from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.flows.check import check_singularities
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.averages import ShearFrame, turn_averages
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.petsc.stepper import Trajectory, integrate
+from qbxstokes.reference.jeffery import orbit_constant
+
+Array = NDArray[np.float64]
+
+# Samples are turned into quantities in pieces of about this many, which stay in the cache.
+_PIECE = 4096
+
+# Columns of the table after the swept values: name -> (units, description).
+SUMMARY: dict[str, tuple[str, str]] = {
+    "period": ("tau", "twice the mean time of a half-turn of the axis"),
+    "period_change": ("1", "period over the later half of the half-turns minus earlier, relative"),
+    "half_turns": ("1", "whole half-turns of the axis that averages are taken over"),
+    "rotation_rate": ("1/tau", "mean rate of the axis about the vorticity's direction"),
+    "mean_velocity_1": ("c/tau", "mean velocity over whole half-turns"),
+    "mean_velocity_2": ("c/tau", "mean velocity over whole half-turns"),
+    "mean_velocity_3": ("c/tau", "mean velocity over whole half-turns"),
+    "velocity_change_1": ("c/tau", "mean velocity over the later half-turns minus the earlier"),
+    "velocity_change_2": ("c/tau", "mean velocity over the later half-turns minus the earlier"),
+    "velocity_change_3": ("c/tau", "mean velocity over the later half-turns minus the earlier"),
+    "orbit_constant_start": ("1", "orbit constant in the local shear at the first sample"),
+    "orbit_constant_end": ("1", "orbit constant in the local shear at the last sample"),
+    "orbit_drift": ("1/tau", "mean rate of the logarithm of the orbit constant"),
+    "jeffery_period": ("tau", "Jeffery's period in the gradient at the start"),
+    "end": ("tau", "last instant"),
+    "final_position_1": ("c", "position at the end"),
+    "final_position_2": ("c", "position at the end"),
+    "final_position_3": ("c", "position at the end"),
+    "final_orientation_0": ("1", "orientation quaternion at the end"),
+    "final_orientation_1": ("1", "orientation quaternion at the end"),
+    "final_orientation_2": ("1", "orientation quaternion at the end"),
+    "final_orientation_3": ("1", "orientation quaternion at the end"),
+    "final_velocity_1": ("c/tau", "velocity at the end"),
+    "final_velocity_2": ("c/tau", "velocity at the end"),
+    "final_velocity_3": ("c/tau", "velocity at the end"),
+    "final_angular_velocity_1": ("1/tau", "angular velocity at the end, in space"),
+    "final_angular_velocity_2": ("1/tau", "angular velocity at the end, in space"),
+    "final_angular_velocity_3": ("1/tau", "angular velocity at the end, in space"),
+    "steps": ("1", "steps of its block"),
+    "rhs_evaluations": ("1", "right-hand sides of its block, each for every trajectory in it"),
+    "error_estimate": ("1", "error accepted in the integration, and the body model's over time"),
+    "wall_time": ("s", "wall time of its block over the number of trajectories in it"),
+}
+_NEEDED = ("position", "axis", "velocity", "angular_velocity")
+
+
+@dataclass
+class BlockResult:
+    """Summaries (n,) by column, quantities (n, T, ...), failures, and what it cost."""
+
+    summary: dict[str, Array]
+    quantities: dict[str, Array]
+    times: Array
+    failed: dict[int, str] = field(default_factory=dict)
+    steps: int = 0
+    evaluations: int = 0
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Start of every trajectory of a block, arrays (n, ...); velocities None: with the flow."""
+
+    stokes_number: Array
+    position: Array
+    quaternion: Array
+    velocity: Array | None
+    angular_velocity: Array | None
+
+    def __len__(self) -> int:
+        """Number of trajectories."""
+        return len(self.stokes_number)
+
+    def at(self, chosen: Any) -> Starts:
+        """Those of some of the trajectories."""
+        parts = (self.stokes_number, self.position, self.quaternion)
+        moving = (self.velocity, self.angular_velocity)
+        return Starts(
+            *(part[chosen] for part in parts),
+            *(None if part is None else part[chosen] for part in moving),
+        )
+
+
+def starts_of(scene: Scene, values: Mapping[Key, Any], n: int) -> Starts:
+    """Where the n trajectories start, from the scene's case and the swept values."""
+    case = scene.loaded.case
+
+    def vectors(name: str) -> Array | None:
+        base = getattr(case.start, name)
+        key: Key = ("start", name)
+        moving = [k for k in values if k[:2] == key]
+        if base == "with_flow" and not moving:
+            return None
+        taken = np.empty((n, 3))
+        taken[:] = 0.0 if base == "with_flow" else base
+        for k in moving:
+            if len(k) == 2:
+                taken[:] = values[k]
+            else:
+                taken[:, k[2]] = values[k]
+        return taken
+
+    position = vectors("position")
+    assert position is not None
+    stokes = np.broadcast_to(values.get(STOKES, case.body.stokes_number), (n,))
+    return Starts(
+        np.array(stokes, dtype=np.float64),
+        position,
+        _quaternions(scene, values, n),
+        vectors("velocity"),
+        vectors("angular_velocity"),
+    )
+
+
+def _quaternions(scene: Scene, values: Mapping[Key, Any], n: int) -> Array:
+    """Start orientations (n, 4)."""
+    case = scene.loaded.case
+    swept = {k[2:]: v for k, v in values.items() if k[:2] == ("start", "orientation")}
+    if not swept:
+        return np.tile(start_quaternion(case), (n, 1))
+    if () in swept:  # random axes or rotations
+        random = swept[()]
+        return rotation.from_axis(random) if random.shape[1] == 3 else random
+    form = str(next(iter(swept))[0])
+    base = getattr(case.start.orientation, form)
+    if form in ("axis", "quaternion"):
+        vectors = np.empty((n, len(base)))
+        vectors[:] = base
+        for key, value in swept.items():
+            if len(key) == 1:
+                vectors[:] = value
+            else:
+                vectors[:, key[1]] = value
+        return rotation.from_axis(vectors) if form == "axis" else rotation.normalize(vectors)
+    names = ("phi", "theta", "psi") if form == "euler" else ("constant", "phase")
+    parts = [np.broadcast_to(swept.get((form, name), getattr(base, name)), (n,)) for name in names]
+    if form == "euler":
+        return rotation.from_euler(*parts)
+    return rotation.from_axis(orbit_axis(case.body.aspect_ratio, *parts))
+
+
+def compute_block(
+    scene: Scene,
+    model: BodyModel,
+    provider: Any,
+    starts: Starts,
+    fields: tuple[str, ...],
+    discard: float,
+    poke: Callable[[], bool],
+) -> BlockResult:
+    """Integrate the trajectories and summarise them; those that fail are told and left out.
+
+    A block that cannot be integrated is halved until what fails stands alone.
+    """
+    n = len(starts)
+    times = scene.plan.times
+    result = BlockResult(
+        {name: np.full(n, np.nan) for name in SUMMARY},
+        {name: np.full((n, len(times), *_shape(name)), np.nan) for name in fields},
+        times,
+    )
+    sound = _sound(scene, starts, result)
+    _compute(scene, model, provider, starts, sound, discard, poke, result)
+    return result
+
+
+def _shape(name: str) -> tuple[int, ...]:
+    return () if name == "orbit_constant" else (4,) if name == "orientation" else (3,)
+
+
+def _sound(scene: Scene, starts: Starts, result: BlockResult) -> NDArray[np.intp]:
+    """Those that may start: not in a singularity of the flow."""
+    everyone = np.arange(len(starts))
+    flow = scene.loaded.flow
+    if not len(flow.singular_points):
+        return everyone
+    k, axes = scene.loaded.case.body.aspect_ratio, rotation.axis(starts.quaternion)
+    for i in everyone:
+        try:
+            check_singularities(flow, starts.position[i], axes[i], k)
+        except FlowError as error:
+            result.failed[int(i)] = str(error)
+    return np.array([i for i in everyone if i not in result.failed], dtype=np.intp)
+
+
+def _compute(
+    scene: Scene,
+    model: BodyModel,
+    provider: Any,
+    starts: Starts,
+    chosen: NDArray[np.intp],
+    discard: float,
+    poke: Callable[[], bool],
+    result: BlockResult,
+) -> None:
+    """Fill the results of the chosen trajectories, halving on failure."""
+    if not len(chosen):
+        return
+    begin = clock.perf_counter()
+    case = scene.loaded.case
+    assert case.time is not None
+    some = starts.at(chosen)
+    try:
+        equations = RigidBodyEquations(model, provider, some.stokes_number, len(chosen))
+        initial = equations.initial_state(
+            some.position, some.quaternion, some.velocity, some.angular_velocity
+        )
+        trajectory = integrate(
+            equations,
+            initial,
+            result.times,
+            case.time.tolerance,
+            chunk_samples=len(result.times) + 1,
+            interrupted=poke,
+        )
+        if not np.isfinite(trajectory.states).all():
+            raise ConvergenceError("the state is not finite")
+    except (ConvergenceError, FlowError, ArithmeticError) as error:
+        if len(chosen) == 1:
+            result.failed[int(chosen[0])] = " ".join(str(error).split())
+            return
+        half = len(chosen) // 2
+        for part in (chosen[:half], chosen[half:]):
+            _compute(scene, model, provider, starts, part, discard, poke, result)
+        return
+    result.steps += trajectory.steps * len(chosen)
+    result.evaluations += trajectory.evaluations * len(chosen)
+    _summarise(scene, equations, provider, trajectory, chosen, discard, result)
+    result.summary["wall_time"][chosen] = (clock.perf_counter() - begin) / len(chosen)
+
+
+def _summarise(
+    scene: Scene,
+    equations: RigidBodyEquations,
+    provider: Any,
+    trajectory: Trajectory,
+    chosen: NDArray[np.intp],
+    discard: float,
+    result: BlockResult,
+) -> None:
+    """Quantities, averages and final states of an integrated block."""
+    case, plan = scene.loaded.case, scene.plan
+    steady = scene.loaded.flow.steady
+    wanted = {*_NEEDED, *result.quantities}
+    samples = quantities(equations, provider, result.times, trajectory.states, steady, wanted)
+    for name, array in result.quantities.items():
+        array[chosen] = samples[name].swapaxes(0, 1)
+    frame = ShearFrame.of(scene.loaded.flow.gradient(plan.position))
+    table = result.summary
+    averages = turn_averages(result.times, samples, case.body.aspect_ratio, frame, discard)
+    for name in ("mean_velocity", "velocity_change"):
+        averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
+        del averages[name]
+    for name, values in averages.items():
+        table[name][chosen] = values
+    final = {
+        "position": samples["position"][-1],
+        "velocity": samples["velocity"][-1],
+        "angular_velocity": samples["angular_velocity"][-1],
+    }
+    for name, vectors in final.items():
+        for i in range(3):
+            table[f"final_{name}_{i + 1}"][chosen] = vectors[:, i]
+    last = rotation.normalize(trajectory.states[-1, :, 3:7])
+    for i in range(4):
+        table[f"final_orientation_{i}"][chosen] = last[:, i]
+    assert case.time is not None
+    horizon = float(result.times[-1])
+    rate = float(np.linalg.norm(scene.loaded.flow.gradient(plan.position)))
+    slenderness = max(case.body.aspect_ratio, 1.0 / case.body.aspect_ratio)
+    model_error = equations.model.error_estimate * rate * horizon * slenderness
+    table["error_estimate"][chosen] = case.time.tolerance + model_error
+    table["jeffery_period"][chosen] = np.nan if plan.period is None else plan.period
+    table["end"][chosen] = horizon
+    table["steps"][chosen] = trajectory.steps
+    table["rhs_evaluations"][chosen] = trajectory.evaluations
+
+
+def quantities(
+    equations: RigidBodyEquations,
+    provider: Any,
+    times: Array,
+    states: Array,
+    steady: bool,
+    wanted: set[str],
+) -> dict[str, Array]:
+    """The wanted quantities (T, n, ...) from the states (T, n, n_state) at the times (T,)."""
+    samples, n = states.shape[:2]
+    together = max(1, _PIECE // n) if steady else 1
+    loads = {"force", "torque"} & wanted
+    results: dict[str, Array] = {
+        name: np.empty((samples, n, *_shape(name))) for name in wanted | set(_NEEDED)
+    }
+    many = equations
+    for start in range(0, samples, together):
+        piece = slice(start, min(start + together, samples))
+        count = piece.stop - piece.start
+        y = states[piece].reshape(count * n, -1)
+        if many.n_bodies != len(y):
+            stokes = np.tile(equations.stokes_number, count)
+            many = RigidBodyEquations(equations.model, provider, stokes, len(y))
+        t = float(times[start])
+        orientation = rotation.normalize(y[:, 3:7])
+        axis = rotation.axis(orientation)
+        velocity, spin = many.velocities(t, y)
+        found = {
+            "position": y[:, 0:3],
+            "axis": axis,
+            "velocity": velocity,
+            "angular_velocity": spin,
+        }
+        if "orientation" in wanted:
+            found["orientation"] = orientation
+        if "euler_angles" in wanted:
+            found["euler_angles"] = rotation.to_euler(orientation)
+        if "orbit_constant" in wanted:
+            found["orbit_constant"] = orbit_constant(equations.model.aspect_ratio, axis)
+        if loads:
+            found["force"], found["torque"] = many.force_torque(t, y)
+        for name, values in found.items():
+            if name in results:
+                results[name][piece] = values.reshape(count, n, *_shape(name))
+    return results

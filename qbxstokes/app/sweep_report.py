@@ -1,0 +1,88 @@
+"""What a person reads of a sweep: its plan (`--dry-run`) and its summary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qbxstokes.app.cost import Estimate
+from qbxstokes.app.report import Rows, duration, quantity, render, size
+from qbxstokes.app.scenes import Scenes
+from qbxstokes.config.sweep import column_name
+from qbxstokes.io.sweep import Layout
+
+
+def _axes(scenes: Scenes) -> Rows:
+    for axis in scenes.space.axes:
+        names = ", ".join(column_name(column.key) for column in axis.columns)
+        yield names, f"{axis.size} values{_range(axis.columns[0])}"
+
+
+def _range(column: Any) -> str:
+    if column.kind:
+        return f", random ({column.kind}, seed {column.seed})"
+    if column.numeric and column.values.ndim == 1:
+        ends = (float(column.values.min()), float(column.values.max()))
+        return f" from {quantity(ends[0])} to {quantity(ends[1])}"
+    return ""
+
+
+def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:
+    """What will run, how many, memory, disk and time."""
+    sizes = scenes.block_sizes()
+    stored = ", ".join(layout.fields) if layout.fields else "the table of summaries alone"
+    count = f"{scenes.space.size} trajectories"
+    shape = " x ".join(str(n) for n in scenes.space.shape)
+    bodies = len(scenes.bodies[1])
+    return (
+        render(
+            f"Sweep: {scenes.loaded.case.title or scenes.loaded.path.stem}",
+            str(scenes.loaded.path),
+            {
+                "Varies": list(_axes(scenes)),
+                "Runs": [
+                    ("trajectories", f"{count} ({shape})"),
+                    ("scenes", f"{scenes.size}, with {bodies} operators to form"),
+                    ("blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"),
+                    ("samples", f"{scenes.samples} each; stored: {stored}"),
+                ],
+                "Needs": [
+                    ("memory", f"about {size(estimate.memory)} on each of {ranks} ranks"),
+                    ("disk", f"{size(layout.bytes)} for {target}"),
+                    (
+                        "time",
+                        f"about {duration(estimate.seconds(ranks))} on {ranks} ranks "
+                        f"({duration(estimate.work)} of work; a factor of 2 either way)",
+                    ),
+                ],
+            },
+        )
+        + "\n"
+    )
+
+
+def summary_text(scenes: Scenes, summary: dict[str, Any]) -> str:
+    """What was computed, how fast, and where it is."""
+    wall = summary["wall_time"]
+    rates = summary["rhs_evaluations"] / wall if wall > 0 else 0.0
+    times = summary["wall_times"]
+    spent = ", ".join(f"{name} {duration(value)}" for name, value in times.items())
+    return render(
+        f"Sweep: {scenes.loaded.case.title or scenes.loaded.path.stem}",
+        str(scenes.loaded.path),
+        {
+            "Varies": list(_axes(scenes)),
+            "Solved": [
+                (
+                    "trajectories",
+                    f"{summary['done']} done, {summary['failed']} failed, "
+                    f"in {summary['blocks']} blocks of {summary['scenes']} scenes",
+                ),
+                ("right-hand sides", f"{summary['rhs_evaluations']:.4g}, {rates:.3g} per second"),
+            ],
+            "Times": [
+                ("sweep", f"{duration(wall)} on {summary['ranks']} ranks"),
+                ("rank 0", spent),
+            ],
+            "Result": [("file", summary["result"])],
+        },
+    )
