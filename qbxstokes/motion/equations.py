@@ -189,7 +189,7 @@ class RigidBodyEquations:
         """
         scales = np.ones((self.n_bodies, self.n_state))
         if not self.massless:
-            scales[:, N_MASSLESS:] = self._time_rate(t, y)[:, None]
+            scales[:, N_MASSLESS:] = self.time_rate(t, y)[:, None]
         return scales
 
     def sensitivity(self, t: float, y: Array, horizon: float) -> float:
@@ -202,10 +202,10 @@ class RigidBodyEquations:
         """
         k = self.model.aspect_ratio
         slenderness = max(k, 1.0 / k)
-        turns = float(np.max(self._time_rate(t, y))) * horizon / (2.0 * np.pi * slenderness)
+        turns = float(np.max(self.time_rate(t, y))) * horizon / (2.0 * np.pi * slenderness)
         return slenderness**2 * max(1.0, turns)
 
-    def _time_rate(self, t: float, y: Array) -> Array:
+    def time_rate(self, t: float, y: Array) -> Array:
         """Rate (n,) at which things change: |grad U|, the shear rate in a shear."""
         gradient = self._flow_gradient(t, y)
         rate = np.sqrt(np.sum(gradient * gradient, axis=(-2, -1)))
@@ -279,19 +279,22 @@ class RigidBodyEquations:
         Exact to rounding by complex steps for polynomial flows; for a provider its free motion is
         differenced (central, relative error about 1e-10) and the rest is exact.
         """
-        rows = [row * (1.0 + 0.0j) for row in self._rows(y)]
+        rows = list(self._rows(y))
         step = kernels.STEP * 1.0j
-        motion = None if self._table is not None else self._motion(t, self._rows(y))
+        motion = self._motion(t, rows)
+        provided = self._table is None
         columns = []
         for j in range(self.n_state):
-            moved = [row + step if i == j else row for i, row in enumerate(rows)]
-            local = self._motion(t, moved) if motion is None else motion
-            columns.append(self._rate(t, moved, local))
+            moved = [*rows[:j], rows[j] + step, *rows[j + 1 :]]
+            if provided or j >= N_MASSLESS:  # the free motion does not depend on velocities
+                columns.append(self._rate(t, moved, motion))
+            else:
+                columns.append(self.rate_of_rows(t, moved))
         out[:] = self._slopes(columns)
-        if motion is not None:
+        if provided:
             columns = []
             for j in range(6):
-                local = tuple(u + step if i == j else u + 0.0j for i, u in enumerate(motion))
+                local = (*motion[:j], motion[j] + step, *motion[j + 1 :])
                 columns.append(self._rate(t, rows, local))
             out[:, :, :N_MASSLESS] += self._slopes(columns) @ self._motion_slopes(t, y)
 
@@ -465,8 +468,9 @@ class RigidBodyEquations:
 
     def _slopes(self, columns: list[Any]) -> Array:
         """(n, n_state, columns) from the values of complex steps, columns first."""
-        rows = [np.broadcast_arrays(*column) if self.n_bodies > 1 else column for column in columns]
-        values = np.imag(np.array(rows)).reshape(len(columns), self.n_state, self.n_bodies)
+        if self.n_bodies > 1:
+            columns = [np.broadcast_arrays(*column) for column in columns]
+        values = np.array(columns).imag.reshape(len(columns), self.n_state, self.n_bodies)
         return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / kernels.STEP)
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
