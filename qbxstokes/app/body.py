@@ -96,6 +96,7 @@ class _Former:
             "completion": self._section.completion,
             "gmres_tolerance": self._residual,
             "cache": "found" if self._cache.found > found else "formed",
+            "n_phi": body.functional.grid.n_phi,
             **vars(body.scheme),
         }
         if body.model.error_parts is not None:
@@ -111,8 +112,10 @@ class _Former:
         """The body model and its functional, from the cache if it has them."""
         section = self._section
         scheme = explicit_scheme(section)
+        degree = 3 if self._flow.degree is None else min(3, max(1, self._flow.degree))
         key = {
             "aspect_ratio": self._spheroid.aspect_ratio,
+            "degree": degree,
             "tolerance": section.tolerance,
             "side": side_of(section),
             "scheme": None if scheme is None else [section.scheme, asdict(scheme)],
@@ -129,6 +132,7 @@ class _Former:
                 section.tolerance,
                 scheme,
                 side=side_of(section),
+                degree=degree,
                 strict="tolerance" in section.model_fields_set,
                 completion=section.completion,
                 solver=self._solver,

@@ -35,6 +35,7 @@ options of a run
   --explain           print what the scene needs and what it skips, then run
   --dry-run           print what would run, and stop
   --overwrite         replace an existing result file
+  --no-cache          neither read nor keep operators on disk
   --resume            go on with a sweep that was stopped, or mend its failures
   --progress STYLE    how a sweep tells its progress: auto, bar, line, none
   --quiet             print nothing but errors
@@ -96,6 +97,7 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
     for flag in ("explain", "dry-run", "overwrite", "resume", "quiet", "json", "version", "help"):
         parser.add_argument(f"--{flag}", action="store_true")
+    parser.add_argument("--no-cache", action="store_true")
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--write", action="store_true")
     return parser.parse_intermixed_args(list(own))

@@ -12,11 +12,14 @@ from qbxstokes.app.body import form_hydrodynamics
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.compare import Comparison, compare
 from qbxstokes.app.plan import Plan
+from qbxstokes.app.rows import RowTeam
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.geometry import rotation
+from qbxstokes.io.cache import Cache
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc.stepper import integrate
+from qbxstokes.qbx.operator import layer_rows
 from qbxstokes.reference.jeffery import orbit_constant
 
 Array = NDArray[np.float64]
@@ -28,12 +31,19 @@ def run_motion(
     clock: Clock,
     provenance: Mapping[str, Any],
     overwrite: bool,
+    team: RowTeam | None = None,
+    cache: Cache | None = None,
 ) -> dict[str, Any]:
-    """Compute the motion on this process, write the result file, and return the summary."""
+    """Compute the motion on this process, write the result file, and return the summary.
+
+    team: the ranks that share the set-up. cache: where operators are kept.
+    """
     case = loaded.case
     assert case.time is not None
     with clock.part("set-up"):
-        body = form_hydrodynamics(loaded, plan)
+        body = form_hydrodynamics(loaded, plan, team or layer_rows, cache)
+        if team is not None:
+            team.dismiss()
     start = case.start
     equations = RigidBodyEquations(body.model, body.provider, case.body.stokes_number)
     initial = equations.initial_state(
@@ -71,6 +81,7 @@ def run_motion(
             **body.solves(),
             "error_estimate": body.model.error_estimate,
         },
+        "cache_problems": body.problems,
         "resistance": vars(body.model.resistance),
         "integration": {
             "method": trajectory.method,

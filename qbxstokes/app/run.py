@@ -54,17 +54,23 @@ def _run(
         PETSc = session.start(petsc, loaded.case.petsc)
 
     with clock.part("import"):
+        from qbxstokes.app.body import open_cache
         from qbxstokes.app.motion import run_motion
         from qbxstokes.app.provenance import provenance
+        from qbxstokes.app.rows import RowTeam, with_team
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
-    # ranks gives the numbers of one.
-    def compute() -> dict[str, Any]:
+    # ranks gives the numbers of one. Only the rows of the operators are formed by all.
+    def compute(team: RowTeam) -> dict[str, Any]:
         record = provenance(loaded, PETSc, comm.size, petsc)
-        return run_motion(loaded, plan, clock, record, options.overwrite)
+        # Options of the solver want to be seen at work.
+        cache = open_cache(loaded, options.no_cache or bool(session.solver_options(PETSc)))
+        return run_motion(loaded, plan, clock, record, options.overwrite, team, cache)
 
-    summary = on_root(comm, compute)
+    summary = on_root(comm, with_team(comm, compute))
     if comm.rank == 0:
+        for problem in summary["cache_problems"]:
+            print(f"qbxstokes: cache: {problem}", file=sys.stderr)
         summary["unused_petsc_options"] = session.unused_options(PETSc)
         if options.json:
             from qbxstokes.app.report import plain

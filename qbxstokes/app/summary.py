@@ -93,11 +93,18 @@ def _solved(summary: dict[str, Any]) -> Rows:
     hydro, steps = summary["hydrodynamics"], summary["integration"]
     grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes, order {hydro['expansion_order']}"
     yield "integral equation", f"{hydro['scheme']} QBX, {grid}"
-    yield (
-        "GMRES",
-        f"{hydro['solves']} solves, {hydro['iterations']} iterations in all, "
-        f"true residual <= {error_text(hydro['true_residual'])}",
-    )
+    if hydro["solves"]:
+        yield (
+            "GMRES",
+            f"{hydro['solves']} solves, {hydro['iterations']} iterations in all, "
+            f"true residual <= {error_text(hydro['true_residual'])}",
+        )
+    if hydro["cache"] == "found":
+        yield "", "body model from the cache (--no-cache forms it anew)"
+    parts = hydro.get("error_parts")
+    if parts:
+        text = ", ".join(f"{name} {error_text(value)}" for name, value in parts.items())
+        yield "estimated error", f"{error_text(hydro['error_estimate'])} ({text})"
     across, along, turning, spinning = summary["resistance"].values()
     yield (
         "resistance",

@@ -140,6 +140,7 @@ def accurate_body(
     scheme: Scheme | None = None,
     *,
     side: Side = "inner",
+    degree: int = 3,
     strict: bool = True,
     completion: Completion = "surface",
     solver: SolverFactory = DirectSolver,
@@ -149,6 +150,7 @@ def accurate_body(
 
     scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported
     (for the uniform scheme, only the misfit of the law for polynomial flows).
+    degree: of a polynomial flow; what only flows of higher degree would feel is not estimated.
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
@@ -158,7 +160,7 @@ def accurate_body(
     trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
         body = _form(spheroid, trial, completion, solver, form_rows)
-        parts = estimate_error(body, completion, form_rows)
+        parts = estimate_error(body, completion, form_rows, degree)
         refined = _refined(trial, parts)
         if scheme is not None or parts.total <= tolerance or refined is None:
             break
@@ -219,7 +221,10 @@ def _model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyMode
 
 
 def estimate_error(
-    body: AccurateBody, completion: Completion = "surface", form_rows: RowFormer = layer_rows
+    body: AccurateBody,
+    completion: Completion = "surface",
+    form_rows: RowFormer = layer_rows,
+    degree: int = 3,
 ) -> ErrorParts:
     """Relative errors of resistance and free motion by cause; costs about two more set-ups.
 
@@ -237,31 +242,32 @@ def estimate_error(
     solver = 0.0
     if body.direct is not body.functional:
         operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
-        solver = model_distance(body.model, _model(operators, body.direct))
+        solver = model_distance(body.model, _model(operators, body.direct), degree)
     return ErrorParts(
-        quadrature=model_distance(body.model, by_panels.model),
-        truncation=model_distance(by_panels.model, by_order.model),
+        quadrature=model_distance(body.model, by_panels.model, degree),
+        truncation=model_distance(by_panels.model, by_order.model, degree),
         # Of the finest panels, whose quadrature adds the least to the coefficients.
         resolution=adjoint_tail(by_order.functional),
         solver=solver,
-        rounding=_rounding(body, completion),
+        rounding=_rounding(body, completion, degree),
     )
 
 
-def model_distance(one: BodyModel, other: BodyModel) -> float:
+def model_distance(one: BodyModel, other: BodyModel, degree: int = 3) -> float:
     """Largest relative difference of two body models, in force, torque or free motion.
 
     Resistances relative to themselves; the coefficients of one degree may all err in one direction
     and count by their sum, relative to the largest quadratic one, the squared radius over which
-    second and third derivatives act.
+    second and third derivatives act. Coefficients above the flow's degree do not count.
     """
     f, g = one.faxen, other.faxen
     area = float(np.max(np.abs(f.quadratic)))
-    motion = max(
+    parts = (
         abs(f.linear - g.linear),
         float(np.sum(np.abs(f.quadratic - g.quadratic))) / area,
         float(np.sum(np.abs(f.cubic - g.cubic))) / area,
     )
+    motion = max(parts[: max(1, degree)])
     numbers = zip(vars(one.resistance).values(), vars(other.resistance).values(), strict=True)
     return float(motion + max(abs(a / b - 1.0) for a, b in numbers))
 
@@ -276,7 +282,7 @@ def adjoint_tail(functional: ModalFunctional) -> float:
     return max(float(np.max(m[:, -2:]) / np.max(m)) for m in moments)
 
 
-def _rounding(body: _Body, completion: Completion) -> float:
+def _rounding(body: _Body, completion: Completion, degree: int) -> float:
     """Change of the model when every entry of the rows moves by a rounding error of its sum."""
     functional, scheme = body.functional, body.scheme
     grid, rng = functional.grid, np.random.default_rng(0)
@@ -288,7 +294,8 @@ def _rounding(body: _Body, completion: Completion) -> float:
         if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
             impose_rigid_motions(grid, rows, double)
         operators = surface_operators(grid.spheroid, scheme, 3, completion, (double, body.rows[1]))
-        spread.append(model_distance(body.model, _model(operators, modal_functional(operators))))
+        perturbed = _model(operators, modal_functional(operators))
+        spread.append(model_distance(body.model, perturbed, degree))
     return float(np.max(spread))
 
 

@@ -44,6 +44,13 @@ def _release() -> None:
     PETSc.garbage_cleanup(PETSc.COMM_SELF)
 
 
+def solver_options(PETSc: Any) -> list[str]:
+    """Names of the options for the linear solver that the user gave."""
+    ours = "ksp_gmres_modifiedgramschmidt"
+    names = PETSc.Options().getAll()
+    return sorted(name for name in names if name.startswith(("ksp_", "pc_")) and name != ours)
+
+
 def unused_options(PETSc: Any) -> list[str]:
     """Names of the options that nothing has asked for.
 
