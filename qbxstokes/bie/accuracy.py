@@ -67,6 +67,8 @@ _MOST_PANEL_NODES = 30
 # scatter of the results under changes of the panels shows.
 _ROUNDING = 0.2
 _PERTURBATIONS = 4
+# Rounding of everything after the assembly, which no perturbation of it shows.
+_ROUNDING_FLOOR = 100.0 * float(np.finfo(float).eps)
 # A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
 MOST_NODES = 160
 
@@ -296,7 +298,7 @@ def _rounding(body: _Body, completion: Completion, degree: int) -> float:
         operators = surface_operators(grid.spheroid, scheme, 3, completion, (double, body.rows[1]))
         perturbed = _model(operators, modal_functional(operators))
         spread.append(model_distance(body.model, perturbed, degree))
-    return float(np.max(spread))
+    return float(np.max(spread)) + _ROUNDING_FLOOR
 
 
 def confocal_rate(aspect_ratio: float, points: ArrayLike) -> Array:
@@ -371,7 +373,8 @@ def flow_error(
         scale = max(float(np.linalg.norm(fine)), least)
         if scale > 0.0:
             error = max(error, float(np.linalg.norm(fine - coarse)) / scale)
-    return error
+    # The finer grid errs as well, by much less.
+    return 1.5 * error
 
 
 def resolving_nodes(

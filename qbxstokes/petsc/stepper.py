@@ -125,6 +125,11 @@ class Trajectory:
         return self.checkpoint.evaluations
 
     @property
+    def jacobians(self) -> int:
+        """Jacobians of the block."""
+        return self.checkpoint.jacobians
+
+    @property
     def norm_drift(self) -> float:
         """Largest | |q| - 1 | before it was removed."""
         return self.checkpoint.norm_drift
