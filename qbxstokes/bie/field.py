@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.errors import FlowError
+from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
 from qbxstokes.qbx.exterior import ExteriorFlow, SurfaceToExterior
-from qbxstokes.qbx.modes import ModalOperator, from_modes
+from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
 
 Array = NDArray[np.float64]
@@ -30,6 +31,8 @@ Method = Literal["auto", "table", "quadrature"]
 # What gave a target its value, as reported: the body's inside, the table, or one of METHODS.
 INSIDE, TABLE = -1, len(METHODS)
 SOURCES = (*METHODS, "table")
+# Polar nodes beyond which a flow is given up as too close to singular.
+MOST_NODES = 96
 # Targets per block: what is in memory at once.
 _BLOCK = 65_536
 
@@ -288,6 +291,36 @@ def turned_stress(stress: Array, rotation: Array) -> Array:
             value = rotation[i, a] * rotation[j, b]
             matrix[row, column] = value if a == b else value + rotation[i, b] * rotation[j, a]
     return np.asarray(stress @ matrix.T)
+
+
+def resolving_grid(spheroid: Spheroid, background: Background, tolerance: float) -> tuple[int, int]:
+    """Polar and azimuthal nodes whose table holds a background flow to a relative tolerance.
+
+    Raises FlowError where MOST_NODES do not suffice.
+    """
+    fine = SurfaceGrid(spheroid, MOST_NODES, 2 * MOST_NODES)
+    modes = to_modes(background(fine.points), fine.n_theta, fine.n_phi)
+    size = np.abs(modes).max(axis=1)
+    # What all higher modes hold together, from each mode on.
+    rest = np.cumsum(size[::-1])[::-1] / size.max()
+    small = np.flatnonzero(rest < tolerance)
+    n_phi = 2 * int(small[0] if small.size else MOST_NODES) + 2
+    n_theta = 8
+    while True:
+        grid = SurfaceGrid(spheroid, n_theta, n_phi)
+        table = surface_map(grid, None).flow(background(grid.points))
+        probe = SurfaceGrid(spheroid, 2 * n_theta + 1, 7)
+        exact = background(probe.points)
+        outside = probe.points * (1.0 + 1e-15)
+        error = float(np.abs(table.evaluate(outside, with_stress=False)[0] - exact).max())
+        if error <= tolerance * float(np.abs(exact).max()):
+            return n_theta, n_phi
+        n_theta = (5 * n_theta + 3) // 4
+        if n_theta > MOST_NODES or not small.size:
+            raise FlowError(
+                f"the flow varies too much over the body: {MOST_NODES} x {2 * MOST_NODES} points "
+                f"of the surface leave an error of {error:.1e}, more than {tolerance:.0e}"
+            )
 
 
 def surface_map(grid: SurfaceGrid, degree: int | None) -> SurfaceToExterior:

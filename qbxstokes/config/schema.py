@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from qbxstokes.config.base import Section, Text, describe, problem
 from qbxstokes.config.body import Body
 from qbxstokes.config.compare import Compare
+from qbxstokes.config.field import FieldSection
 from qbxstokes.config.flow import FlowSection
 from qbxstokes.config.hydrodynamics import Hydrodynamics
 from qbxstokes.config.output import Output
@@ -21,7 +22,7 @@ from qbxstokes.config.start import Start
 from qbxstokes.config.sweep import Sweep
 from qbxstokes.config.time import Time
 
-Task = Literal["motion"]
+Task = Literal["motion", "field"]
 
 PetscValue = str | int | float | bool | None
 
@@ -53,6 +54,9 @@ class Case(Section):
     hydrodynamics: Hydrodynamics = Field(
         default=Hydrodynamics(), description="accuracy and scheme of the integral equation"
     )
+    field: FieldSection | None = Field(
+        default=None, description="the flow around the body: where, which quantities, how well"
+    )
     petsc: Annotated[
         dict[str, PetscValue],
         BeforeValidator(_petsc_options, json_schema_input_type=dict[str, PetscValue]),
@@ -71,6 +75,17 @@ class Case(Section):
     def _sections_agree(self) -> Case:
         if self.task == "motion" and self.time is None:
             raise problem("is missing", "task: motion needs it, with end, periods or at", ("time",))
+        if self.task == "field":
+            if self.field is None:
+                raise problem("is missing", "task: field needs it, such as `plane: {}`", ("field",))
+            for name in ("time", "sweep"):
+                if getattr(self, name, None) is not None:
+                    raise problem(
+                        "has no meaning for task: field",
+                        "leave it out, or use task: motion",
+                        (name,),
+                    )
+        self._check_field_of_motion()
         if self.body.stokes_number == 0:
             for name in ("velocity", "angular_velocity"):
                 if getattr(self.start, name) != "with_flow":
@@ -81,6 +96,19 @@ class Case(Section):
                     )
         self._check_uniform_radius()
         return self
+
+    def _check_field_of_motion(self) -> None:
+        """Refuse the keys of `field` that belong to the other task."""
+        if self.field is None:
+            return
+        foreign = ("every", "at")
+        if self.task == "motion":
+            foreign = ("body", "force", "torque", "velocity", "angular_velocity")
+        for name in foreign:
+            if name in self.field.model_fields_set:
+                raise problem(
+                    f"has no meaning for task: {self.task}", "leave it out", ("field", name)
+                )
 
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.

@@ -1,0 +1,127 @@
+"""Run `task: field` from its plan to its summary, on all ranks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.app.clock import Clock
+from qbxstokes.app.field import FieldPlan, run_field
+from qbxstokes.app.plan import result_path
+from qbxstokes.app.report import Rows, duration, error_text, quantity, render
+from qbxstokes.config.load import LoadedCase
+from qbxstokes.errors import ConvergenceError
+
+
+def run_field_case(
+    comm: Any,
+    loaded: LoadedCase,
+    plan: FieldPlan,
+    options: argparse.Namespace,
+    petsc: Sequence[str],
+    clock: Clock,
+) -> int:
+    """Compute, write and tell; returns the exit status."""
+    speak = comm.rank == 0 and not (options.quiet or options.json)
+    if speak and (options.explain or options.dry_run):
+        print(explain_field(loaded, plan))
+    if options.dry_run:
+        if comm.rank == 0 and options.json:
+            facts = {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
+            print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
+        return 0
+    with clock.part("start PETSc"):
+        from qbxstokes.app.provenance import provenance
+        from qbxstokes.petsc import session
+
+        PETSc = session.start(petsc, loaded.case.petsc)
+    record = provenance(loaded, PETSc, comm.size, petsc)
+    summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
+    unused = session.unused_options(PETSc)
+    error = comm.bcast(summary.get("largest_error"))
+    if comm.rank == 0:
+        summary["unused_petsc_options"] = unused
+        if options.json:
+            from qbxstokes.app.report import plain
+
+            print(json.dumps(plain(summary), indent=2))
+        elif speak:
+            print(field_summary(loaded, summary))
+        for name in unused:
+            print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
+    limit = loaded.case.compare.tolerance
+    if limit is not None and not error <= limit:
+        if comm.rank == 0:
+            text = f"largest error {error:.1e} exceeds compare.tolerance {limit:g}"
+            print(f"qbxstokes: {text}", file=sys.stderr)
+        return ConvergenceError.exit_status
+    return 0
+
+
+def _scene(loaded: LoadedCase) -> Rows:
+    case, flow = loaded.case, loaded.flow
+    assert case.field is not None
+    k = case.body.aspect_ratio
+    shape = "prolate" if k < 1 else "oblate" if k > 1 else "sphere"
+    keys = ", ".join(f"{key} {value}" for key, value in case.flow.spec().items())
+    degree = "" if flow.degree is None else f"; polynomial of degree {flow.degree}"
+    yield "body", f"{shape} spheroid, k = {quantity(k)}, {case.field.body}"
+    yield "flow", keys.removeprefix("type ") + degree
+
+
+def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
+    """What is computed, what is skipped, and where the result goes."""
+    return render(
+        f"Plan: {loaded.case.title or loaded.case.task}",
+        str(loaded.path),
+        {
+            "Scene": _scene(loaded),
+            "Needs": [("", f"- {text}") for text in plan.needs],
+            "Skips": [("", f"- {text}") for text in plan.skips],
+            "Writes": [(str(plan.output), "")],
+        },
+    )
+
+
+def field_summary(loaded: LoadedCase, summary: dict[str, Any]) -> str:
+    """What was computed, its errors, times, and the files."""
+    hydro, points, times = summary["hydrodynamics"], summary["points"], summary["wall_times"]
+    described = ", ".join(f"{count} {name}" for name, count in points.items() if count)
+    what = {
+        "no slip": "largest slip on the surface, which bounds the error of the velocity",
+        "table against QBX": "two evaluations at points from the surface to far away",
+    }
+    errors = [
+        (name, f"{error_text(value):9}{what[name]}") for name, value in summary["errors"].items()
+    ]
+    vectors = ("velocity", "angular_velocity", "force", "torque")
+    spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
+    files = [("file", summary["result"])] + [("", name) for name in summary["files"]]
+    asked = result_path(loaded)
+    if Path(summary["result"]) != asked:
+        files.append(("", f"({asked} exists and was kept; --overwrite replaces it)"))
+    return render(
+        loaded.case.title or f"Task {loaded.case.task}",
+        str(loaded.path),
+        {
+            "Scene": _scene(loaded),
+            "Solved": [
+                (
+                    "integral equation",
+                    f"{hydro['n_theta']} x {hydro['n_phi']} nodes, {hydro['solves']} solves, "
+                    f"{hydro['iterations']} iterations, true residual <= "
+                    f"{error_text(hydro['true_residual'])}",
+                ),
+                ("table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"),
+                ("points", described or "none"),
+                *((name, ", ".join(quantity(x) for x in summary[name])) for name in vectors),
+            ],
+            "Errors": errors,
+            "Times": [("total", duration(times["total"])), ("parts", spent)],
+            "Result": files,
+        },
+    )

@@ -1,0 +1,116 @@
+"""Lines along the flow relative to a body, which never cross its surface.
+
+Points outside the body are written as x = sqrt(1 + L) (k y_1, k y_2, y_3) with |y| = 1 and L > 0;
+the state is (log L, y). The relative velocity vanishes on the surface with its normal gradient, so
+that log L changes at a bounded rate there, and no step of an integrator, however large, leaves the
+outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.bie.field import FlowAround
+
+Array = NDArray[np.float64]
+Velocity = Callable[[float, Array], Array]
+
+N_STATE = 4
+
+
+def to_state(points: Array, aspect_ratio: float) -> Array:
+    """State (N, 4) of points (N, 3) of the body frame; NaN for points in or on the body."""
+    scaled = points / [aspect_ratio, aspect_ratio, 1.0]
+    radius = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    level = (radius - 1.0) * (radius + 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        state = np.concatenate([np.log(level), scaled / radius], axis=-1)
+    state[~(level[:, 0] > 0.0)] = np.nan
+    return state
+
+
+def to_points(state: Array, aspect_ratio: float) -> Array:
+    """Points (..., 3) of the body frame of states (..., 4)."""
+    unit = state[..., 1:] / np.linalg.norm(state[..., 1:], axis=-1, keepdims=True)
+    radius = np.sqrt(1.0 + np.exp(state[..., :1]))
+    return np.asarray(radius * unit * [aspect_ratio, aspect_ratio, 1.0])
+
+
+def state_rate(state: Array, velocity: Array, aspect_ratio: float) -> Array:
+    """Rate of change (N, 4) of states (N, 4) carried by velocities (N, 3)."""
+    unit = state[:, 1:] / np.linalg.norm(state[:, 1:], axis=-1, keepdims=True)
+    level = np.exp(state[:, :1])
+    radius = np.sqrt(1.0 + level)
+    scaled = velocity / [aspect_ratio, aspect_ratio, 1.0]
+    along = np.einsum("ni,ni->n", unit, scaled)[:, None]
+    return np.concatenate([2.0 * radius * along / level, (scaled - along * unit) / radius], axis=-1)
+
+
+def integrate_lines(
+    velocity: Velocity,
+    points: Array,
+    aspect_ratio: float,
+    parameter: Array,
+    tolerance: float,
+    unit_speed: bool,
+) -> Array:
+    """Lines (N, P, 3) in the body frame from points (N, 3), at the parameters (P,) from 0 on.
+
+    velocity(t, points) is relative to the body. unit_speed: the parameter is arc length, else
+    time. All lines share the steps of an explicit method of order 8 (Hairer, Norsett & Wanner
+    1993, DOP853) with the given relative and absolute tolerance. Lines from inside are NaN.
+    """
+    from scipy.integrate import solve_ivp
+
+    start = to_state(np.asarray(points, float), aspect_ratio)
+    good = ~np.isnan(start[:, 0])
+    lines = np.full((len(start), len(parameter), 3), np.nan)
+    if not good.any():
+        return lines
+
+    def rate(t: float, flat: Array) -> Array:
+        state = flat.reshape(-1, N_STATE)
+        u = velocity(t, to_points(state, aspect_ratio))
+        if unit_speed:
+            speed = np.linalg.norm(u, axis=-1, keepdims=True)
+            u = u / np.where(speed > 0.0, speed, 1.0)
+        return state_rate(state, u, aspect_ratio).ravel()
+
+    solution = solve_ivp(
+        rate,
+        (float(parameter[0]), float(parameter[-1])),
+        start[good].ravel(),
+        method="DOP853",
+        t_eval=parameter,
+        rtol=max(tolerance, 1e-13),
+        atol=tolerance,
+    )
+    states = np.moveaxis(solution.y.reshape(int(good.sum()), N_STATE, -1), 2, 1)
+    lines[good, : states.shape[1]] = to_points(states, aspect_ratio)
+    return lines
+
+
+def streamlines(
+    around: FlowAround, points: Array, length: float, samples: int, tolerance: float, both: bool
+) -> Array:
+    """Streamlines (N, P, 3) in space of the velocity relative to the body, at one instant.
+
+    points: (N, 3) in space. length: of each line, and upstream as much if both is set; then P is
+    2 samples - 1.
+    """
+    k = around.disturbance.grid.spheroid.aspect_ratio
+    body = around.to_body(points)
+    parameter = np.linspace(0.0, length, samples)
+
+    def run(sign: float) -> Array:
+        return integrate_lines(
+            lambda _, x: sign * around.relative_velocity(x), body, k, parameter, tolerance, True
+        )
+
+    lines = run(1.0)
+    if both:
+        lines = np.concatenate([run(-1.0)[:, :0:-1], lines], axis=1)
+    return np.asarray(lines @ around.rotation.T + around.position)

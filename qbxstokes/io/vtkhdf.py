@@ -1,0 +1,192 @@
+"""Fields as VTKHDF files, which ParaView opens as they are (VTK file formats, "VTKHDF", version 2).
+
+One file holds a PartitionedDataSetCollection: a block per set of points, the body's surface with
+its traction, and lines, each with its steps in time. Cells that touch a point inside the body are
+left out, so that nothing is drawn where nothing flows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import h5py
+
+Array = NDArray[Any]
+
+_VERTEX, _QUAD, _HEXAHEDRON = 1, 9, 12
+_ORDER_OF_STRESS = (0, 1, 2, 3, 5, 4)  # ours: 11 22 33 12 13 23; ParaView's: 11 22 33 12 23 13
+
+
+def export(result: h5py.File, path: Path) -> Path:
+    """Write the group `field` of an open result to `path`, step by step; returns the path."""
+    import h5py
+
+    group = result["field"]
+    times = group["time"][()]
+    # ParaView reads files that older versions of HDF5 can read.
+    with h5py.File(path, "w", libver=("earliest", "v110")) as file:
+        root = _typed(file, "VTKHDF", "PartitionedDataSetCollection")
+        assembly = root.create_group("Assembly", track_order=True)
+        writers = []
+        for name, inner in group.items():
+            if not isinstance(inner, h5py.Group):
+                continue
+            if name == "tracers":
+                continue  # on instants of their own
+            polygonal = name in ("surface", "streamlines")
+            kind = "PolyData" if polygonal else "UnstructuredGrid"
+            block = _typed(root, name, kind)
+            block.attrs["Index"] = np.int64(len(writers))
+            assembly.create_group(name, track_order=True)[name] = h5py.SoftLink(f"/VTKHDF/{name}")
+            writers.append((name, inner, _Block(block, polygonal)))
+        for step in range(len(times)):
+            for name, inner, writer in writers:
+                writer.add(*_piece(name, inner, step))
+        for _, _, writer in writers:
+            writer.finish(times)
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = np.int64(len(times))
+        steps["Values"] = times
+    return path
+
+
+def _typed(parent: h5py.Group, name: str, kind: str) -> h5py.Group:
+    import h5py
+
+    group = parent.create_group(name, track_order=True)
+    group.attrs["Version"] = np.array([2, 3], dtype=np.int64)
+    text = kind.encode("ascii")
+    group.attrs.create("Type", text, dtype=h5py.string_dtype("ascii", len(text)))
+    return group
+
+
+def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, dict[str, Array]]:
+    """Points (N, 3), cells (M, n), type of cell and point data of a block at one step."""
+    if name == "streamlines":
+        lines = inner["points"][step]
+        whole = ~np.isnan(lines).any(axis=(1, 2))
+        lines = lines[whole]
+        index = np.arange(lines.shape[0] * lines.shape[1]).reshape(lines.shape[:2])
+        number = np.repeat(np.arange(len(lines)), lines.shape[1]).astype(float)
+        return lines.reshape(-1, 3), index, 0, {"line": number}
+    points = inner["points"][step]
+    shape = tuple(int(n) for n in inner.attrs["shape"])
+    closed = name in ("surface", "shells")
+    cells, kind = _cells(shape, closed)
+    data = {}
+    for key, values in inner.items():
+        if (
+            key in ("points", "source")
+            or values.ndim < 2
+            or values.shape[:2] != (inner["points"].shape[:2])
+        ):
+            continue
+        array = values[step]
+        if key == "stress":
+            array = array[:, _ORDER_OF_STRESS]
+        data[key] = array.astype(np.uint8) if array.dtype == bool else array
+    if "inside" in data:
+        cells = cells[~data["inside"].astype(bool)[cells].any(axis=1)]
+    return points, cells, kind, data
+
+
+def _cells(shape: tuple[int, ...], closed: bool) -> tuple[Array, int]:
+    """Corners of the cells of a structured grid; closed grids join in their last direction."""
+    index = np.arange(int(np.prod(shape))).reshape(shape)
+    if closed:
+        index = np.concatenate([index, index[..., :1]], axis=-1)
+    if len(shape) == 1 or min(shape[-2:]) < 2:
+        return np.arange(int(np.prod(shape)))[:, None], _VERTEX
+    flat = [index[..., :-1, :-1], index[..., 1:, :-1], index[..., 1:, 1:], index[..., :-1, 1:]]
+    if len(shape) == 3 and shape[0] > 1:
+        corners = [part[:-1] for part in flat] + [part[1:] for part in flat]
+        return np.stack(corners, axis=-1).reshape(-1, 8), _HEXAHEDRON
+    return np.stack(flat, axis=-1).reshape(-1, 4), _QUAD
+
+
+class _Block:
+    """One block of the collection, extended step by step."""
+
+    def __init__(self, group: h5py.Group, polygonal: bool) -> None:
+        self.group = group
+        self.polygonal = polygonal
+        self.offsets: dict[str, list[Any]] = {"points": [], "cells": [], "connectivity": []}
+        self.points = self.cells = self.connectivity = 0
+        self.data: list[str] = []
+        if polygonal:
+            for kind in ("Vertices", "Lines", "Polygons", "Strips"):
+                group.create_group(kind)
+
+    def add(self, points: Array, cells: Array, kind: int, data: Mapping[str, Array]) -> None:
+        """Append one step."""
+        group = self.group
+        self.offsets["points"].append(self.points)
+        self._extend(group, "NumberOfPoints", np.array([len(points)]))
+        self._extend(group, "Points", points)
+        if self.polygonal:
+            used = "Lines" if kind == 0 else "Polygons"
+            column = 1 if kind == 0 else 2
+            for name in ("Vertices", "Lines", "Polygons", "Strips"):
+                these = cells if name == used else np.zeros((0, 1), dtype=np.int64)
+                self._topology(group[name], these)
+            for key, value in (("cells", self.cells), ("connectivity", self.connectivity)):
+                row = [0, 0, 0, 0]
+                row[column] = value
+                self.offsets[key].append(row)
+        else:
+            self.offsets["cells"].append(self.cells)
+            self.offsets["connectivity"].append(self.connectivity)
+            self._topology(group, cells)
+            self._extend(group, "Types", np.full(len(cells), kind, dtype=np.uint8))
+        inner = group.require_group("PointData")
+        for name, values in data.items():
+            self._extend(inner, name, values)
+        self.data = list(data)
+        self.points += len(points)
+        self.cells += len(cells)
+        self.connectivity += cells.size
+
+    def _topology(self, group: h5py.Group, cells: Array) -> None:
+        self._extend(group, "NumberOfCells", np.array([len(cells)]))
+        self._extend(group, "NumberOfConnectivityIds", np.array([cells.size]))
+        self._extend(group, "Connectivity", cells.astype(np.int64).ravel())
+        width = cells.shape[1] if cells.ndim == 2 else 1
+        self._extend(group, "Offsets", np.arange(len(cells) + 1, dtype=np.int64) * width)
+
+    @staticmethod
+    def _extend(group: h5py.Group, name: str, values: Array) -> None:
+        if name not in group:
+            group.create_dataset(
+                name,
+                data=values,
+                maxshape=(None, *values.shape[1:]),
+                chunks=(max(1, min(len(values), 16_384)), *values.shape[1:]),
+                track_times=False,
+            )
+            return
+        data = group[name]
+        held = len(data)
+        data.resize(held + len(values), axis=0)
+        data[held:] = values
+
+    def finish(self, times: Array) -> None:
+        """Write where each step begins."""
+        steps = self.group.create_group("Steps")
+        n = len(times)
+        steps.attrs["NSteps"] = np.int64(n)
+        steps["Values"] = times
+        steps["PartOffsets"] = np.arange(n, dtype=np.int64)
+        steps["NumberOfParts"] = np.ones(n, dtype=np.int64)
+        points = np.array(self.offsets["points"], dtype=np.int64)
+        steps["PointOffsets"] = points
+        steps["CellOffsets"] = np.array(self.offsets["cells"], dtype=np.int64)
+        steps["ConnectivityIdOffsets"] = np.array(self.offsets["connectivity"], dtype=np.int64)
+        data = steps.create_group("PointDataOffsets")
+        for name in self.data:
+            data[name] = points
