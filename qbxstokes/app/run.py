@@ -32,11 +32,19 @@ def _run(
 
     def read() -> Any:
         loaded = load_case(path, options.set)
+        if loaded.case.task == "field":
+            from qbxstokes.app.field import plan_field
+
+            return loaded.document, None, plan_field(loaded, options.overwrite)
         return loaded.document, loaded.space, make_plan(loaded, options.overwrite)
 
     with clock.part("read and plan"):
         document, space, plan = on_root(comm, read)
         loaded = from_document(document, path, space)
+    if loaded.case.task == "field":
+        from qbxstokes.app.field_run import run_field_case
+
+        return run_field_case(comm, loaded, plan, options, petsc, clock)
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if loaded.space is not None:
         from qbxstokes.app.batch import sweep_command
