@@ -105,7 +105,7 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
 
     scenes = Scenes(loaded)
     layout = layout_of(scenes)
-    cost = estimate(scenes, layout.row_bytes, bool(layout.fields))
+    cost = estimate(scenes, layout.row_bytes)
     return {
         "trajectories": scenes.space.size,
         "shape": scenes.space.shape,
@@ -447,12 +447,11 @@ def _blocks(
 
 def _order(scenes: Scenes, work: Work) -> list[int]:
     """Blocks in the order of handing out: the costliest first, so that ranks end together."""
-    from qbxstokes.app.cost import weights
+    from qbxstokes.app.cost import block_seconds
 
-    sizes, weight = scenes.block_sizes(), weights(scenes)[scenes.scene_of_block()]
     numbers = sorted({*work.blocks, *work.mend})
-    cost = [weight[n] * (len(work.mend[n]) if n in work.mend else sizes[n]) for n in numbers]
-    return [numbers[i] for i in np.argsort(-np.array(cost, dtype=float), kind="stable")]
+    cost = block_seconds(scenes)[numbers]
+    return [numbers[i] for i in np.argsort(-cost, kind="stable")]
 
 
 class _Computer:

@@ -86,17 +86,21 @@ def weights(scenes: Scenes, most: int = 200) -> np.ndarray:
     return np.asarray(np.interp(np.arange(scenes.size), known, values))
 
 
-def estimate(scenes: Scenes, row_bytes: int, stored: bool) -> Estimate:
-    """Cost of the whole sweep."""
+def block_seconds(scenes: Scenes) -> np.ndarray:
+    """Integration time of every block."""
     case, flow = scenes.loaded.case, scenes.loaded.flow
     inertial = case.body.stokes_number > 0
     if flow.degree is None or flow.degree > 3:
         seconds = GENERAL_RHS_SECONDS
     else:
         seconds = RHS_SECONDS[inertial][max(flow.degree - 1, 0)]
-    scene = scenes.scene_of_block()
-    sizes = scenes.block_sizes()
-    per_block = weights(scenes)[scene] * (sizes * seconds + CALL_SECONDS)
+    calls = weights(scenes)[scenes.scene_of_block()]
+    return np.asarray(calls * (scenes.block_sizes() * seconds + CALL_SECONDS))
+
+
+def estimate(scenes: Scenes, row_bytes: int) -> Estimate:
+    """Cost of the whole sweep."""
+    sizes, per_block = scenes.block_sizes(), block_seconds(scenes)
     n = scenes.space.size
     output = n * (row_bytes * STORED_BYTE_SECONDS + scenes.samples * SAMPLE_SECONDS)
     bodies = len(scenes.bodies[1])

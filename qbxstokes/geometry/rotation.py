@@ -115,7 +115,7 @@ def to_euler(q: ArrayLike) -> Array:
     theta is in [0, pi] and accurate at both ends; phi and psi are in (-pi, pi]. At the poles,
     where only phi + psi or phi - psi is defined, psi is 0.
     """
-    q0, q1, q2, q3 = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    q0, q1, q2, q3 = _components(q)
     cosine, sine = np.hypot(q0, q3), np.hypot(q1, q2)
     size = np.hypot(cosine, sine)
     total, difference = np.arctan2(q3, q0), np.arctan2(q2, q1)
@@ -127,6 +127,15 @@ def to_euler(q: ArrayLike) -> Array:
         [_wrap(total + difference), 2.0 * np.arctan2(sine, cosine), _wrap(total - difference)],
         axis=-1,
     )
+
+
+def _components(vectors: ArrayLike) -> Array:
+    """The components of vectors, each in memory of its own.
+
+    NumPy computes arctan2 of strided views by one of two ways, last bits apart, which it chooses by
+    where the arrays happen to lie: contiguous ones always give the same bits.
+    """
+    return np.array(np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0), order="C")
 
 
 def _wrap(angle: Array) -> Array:
@@ -144,7 +153,7 @@ def from_axis(direction: ArrayLike) -> Array:
     length = np.max(np.abs(array), axis=-1, keepdims=True)
     if not np.all(np.isfinite(length) & (length > 0.0)):
         raise ValueError("a zero or non-finite vector is no direction")
-    d1, d2, d3 = np.moveaxis(array / length, -1, 0)
+    d1, d2, d3 = _components(array / length)
     # 0 - d2 and not -d2: the negative zero would turn the pole by pi.
     return from_euler(np.arctan2(d1, 0.0 - d2), np.arctan2(np.hypot(d1, d2), d3), 0.0)
 

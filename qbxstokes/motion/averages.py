@@ -76,7 +76,8 @@ def turn_averages(
     n = axis.shape[1]
     d = axis @ frame.axes.T
     rate = np.cross(omega, axis) @ frame.axes.T
-    along, across = k * d[..., 0], d[..., 1]
+    # Both in memory of their own: arctan2 of strided views may differ in the last bit.
+    along, across = k * d[..., 0], d[..., 1].copy()
     square = along**2 + across**2
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (along * rate[..., 1] - k * rate[..., 0] * across) / square
