@@ -1,8 +1,10 @@
 """qbxstokes: motion of a rigid spheroid in Stokes flow by quadrature by expansion.
 
 >>> import qbxstokes as qs
->>> qs.build_flow({"type": "shear", "rate": 2.0}).velocity([0.0, 1.0, 0.0]).tolist()
-[2.0, 0.0, 0.0]
+>>> body = qs.Body(aspect_ratio=0.5)
+>>> velocity, spin = body.free_motion(qs.flow("shear", rate=2.0), orientation=[1, 0, 0])
+>>> round(float(spin[2]), 9)  # Jeffery 1922: -rate k^2/(1 + k^2) with the axis along the flow
+-0.4
 """
 
 from __future__ import annotations
@@ -11,6 +13,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from qbxstokes.app.interface import Body as Body
+    from qbxstokes.app.interface import Motion as Motion
+    from qbxstokes.app.interface import flow as flow
     from qbxstokes.config.load import load_case as load_case
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
@@ -21,12 +26,15 @@ __version__ = "0.1.0"
 # Public name -> module that holds it; imported when first used, so that `import qbxstokes` costs
 # nothing and the mathematics stays free of PETSc, files and options.
 _PUBLIC = {
+    "Body": "qbxstokes.app.interface",
+    "Motion": "qbxstokes.app.interface",
     "Spheroid": "qbxstokes.geometry.spheroid",
     "build_flow": "qbxstokes.flows",
+    "flow": "qbxstokes.app.interface",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.config.load",
 }
-__all__ = ["Spheroid", "__version__", "build_flow", "load", "load_case"]
+__all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
