@@ -49,10 +49,8 @@ def export(result: h5py.File, path: Path) -> Path:
             for name, inner, writer in writers:
                 writer.add(*_piece(name, inner, step))
         for _, _, writer in writers:
+            # Each block carries the steps; the reader wants none at the root.
             writer.finish(times)
-        steps = root.create_group("Steps")
-        steps.attrs["NSteps"] = np.int64(len(times))
-        steps["Values"] = times
     return path
 
 
