@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.app.clock import Clock
-from qbxstokes.app.field_targets import Targets, surface_angles, targets_of
+from qbxstokes.app.field_targets import (
+    Targets,
+    chosen_instants,
+    surface_angles,
+    targets_of,
+)
 from qbxstokes.app.plan import _check_flow as check_flow
 from qbxstokes.app.plan import result_path, start_quaternion
 from qbxstokes.bie.field import (
@@ -145,6 +150,10 @@ def run_field(
                 "torque": -(around.rotation @ disturbance.torque)[None],
             }
         )
+        if section.tracers is not None:
+            store.put_arrays(
+                writer.file[store.GROUP], "tracers", evaluation.steady_tracers(around, instant), {}
+            )
         errors = facts.pop("errors")
         summary: dict[str, Any] = {
             "case": str(loaded.path),
@@ -159,19 +168,67 @@ def run_field(
             "largest_error": max(errors.values()),
             "wall_times": dict(clock.parts),
         }
-        files = evaluation.export(writer.file, plan.output)
-        summary["files"] = [str(name) for name in files]
+        summary["files"] = export_field(loaded, clock, writer.file, plan.output)
         summary["result"] = str(writer.finish(summary))
-    if section.pictures:
-        with clock.part("pictures"):
-            from qbxstokes.io.results import load
-            from qbxstokes.plots.field import draw_field
-
-            result = Path(summary["result"])
-            pictures = draw_field(load(result), result.with_suffix(""))
-            summary["files"] += [str(name) for name in pictures]
+    summary["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
+
+
+def field_of_motion(
+    loaded: LoadedCase,
+    times: Array,
+    samples: Mapping[str, Array],
+    clock: Clock,
+    file: Any,
+    equations: Any,
+    initial: Array,
+) -> dict[str, Any]:
+    """The field at the chosen instants of a motion, into its open result file.
+
+    samples: what `app.motion.quantities` gives at the times (T,).
+    """
+    section = loaded.case.field
+    assert section is not None
+    instants = [
+        Instant(
+            float(times[index]),
+            samples["position"][index],
+            samples["orientation"][index],
+            samples["velocity"][index],
+            samples["angular_velocity"][index],
+        )
+        for index in chosen_instants(loaded, times)
+    ]
+    evaluation = FieldEvaluation(loaded, section, clock)
+    facts = evaluation.write(Alone(), file, instants)
+    if section.tracers is not None:
+        paths = evaluation.moving_tracers(equations, initial, float(times[-1]))
+        store.put_arrays(file[store.GROUP], "tracers", paths, {})
+    return facts
+
+
+def export_field(loaded: LoadedCase, clock: Clock, file: Any, output: Path) -> list[str]:
+    """Write the file for ParaView, if asked for; the names of what was written."""
+    section = loaded.case.field
+    if section is None or not section.vtk:
+        return []
+    from qbxstokes.io.vtkhdf import export
+
+    with clock.part("export"):
+        return [str(export(file, output.with_suffix(".vtkhdf")))]
+
+
+def draw_pictures(loaded: LoadedCase, clock: Clock, result: Path) -> list[str]:
+    """Draw the pictures of a field, if asked for; the names of what was written."""
+    section = loaded.case.field
+    if section is None or not section.pictures:
+        return []
+    from qbxstokes.io.results import load
+    from qbxstokes.plots.field import draw_field
+
+    with clock.part("pictures"):
+        return [str(name) for name in draw_field(load(result), result.with_suffix(""))]
 
 
 class FieldEvaluation:
@@ -378,11 +435,73 @@ class FieldEvaluation:
         if lines:
             store.put_arrays(group, "streamlines", {"points": np.stack(lines)}, {})
 
-    def export(self, file: Any, output: Path) -> list[Path]:
-        """Write the file for ParaView, if asked for; the names of what was written."""
-        if not self.section.vtk:
-            return []
-        from qbxstokes.io.vtkhdf import export
+    def steady_tracers(self, around: FlowAround, instant: Instant) -> dict[str, Array]:
+        """Paths about a body that stays in its state, in space as seen from its centre."""
+        from qbxstokes.bie.lines import integrate_lines
 
-        with self.clock.part("export"):
-            return [export(file, output.with_suffix(".vtkhdf"))]
+        asked = self.section.tracers
+        assert asked is not None
+        assert asked.duration is not None
+        times = np.linspace(0.0, asked.duration, asked.samples)
+        with self.clock.part("tracers"):
+            paths = integrate_lines(
+                lambda _, x: around.relative_velocity(x),
+                around.to_body(self._starts(asked, instant)),
+                self.spheroid.aspect_ratio,
+                times,
+                asked.tolerance,
+                unit_speed=False,
+            )
+        points = paths @ around.rotation.T + around.position
+        return {"time": times, "points": np.moveaxis(points, 1, 0)}
+
+    def moving_tracers(self, equations: Any, initial: Array, end: float) -> dict[str, Array]:
+        """Paths while the body moves: both are integrated together from time 0 on.
+
+        equations: of the motion; initial: its state (1, n_state).
+        """
+        from scipy.integrate import solve_ivp
+
+        from qbxstokes.bie.lines import N_STATE, MovingFlow, state_rate, to_points, to_state
+
+        asked, k = self.section.tracers, self.spheroid.aspect_ratio
+        assert asked is not None
+        flow = MovingFlow(self.operators.grid, self.flow, self.flow.degree)
+        body = np.asarray(initial, float).reshape(-1)
+        n_body = body.size
+        position, turn = body[:3], rotation.matrix(rotation.normalize(body[3:7]))
+        starts = self._starts(asked, Instant(0.0, position, rotation.normalize(body[3:7])))
+        states = to_state((starts - position) @ turn, k)
+        good = ~np.isnan(states[:, 0])
+        times = np.linspace(0.0, asked.duration or end, asked.samples)
+
+        def rate(t: float, flat: Array) -> Array:
+            state = flat[:n_body]
+            out = np.empty((n_body, 1))
+            equations.rates(t, state[:, None], out)
+            velocity, spin = equations.velocities(t, state[None])
+            around = rotation.matrix(rotation.normalize(state[3:7]))
+            carried = flat[n_body:].reshape(-1, N_STATE)
+            u = flow.relative_velocity(
+                t, state[:3], around, velocity[0], spin[0], to_points(carried, k)
+            )
+            return np.concatenate([out[:, 0], state_rate(carried, u, k).ravel()])
+
+        with self.clock.part("tracers"):
+            solution = solve_ivp(
+                rate,
+                (0.0, times[-1]),
+                np.concatenate([body, states[good].ravel()]),
+                method="DOP853",
+                t_eval=times,
+                rtol=max(asked.tolerance, 1e-13),
+                atol=asked.tolerance,
+            )
+        if not solution.success:
+            raise ConvergenceError(f"the paths of the tracers stopped: {solution.message}")
+        points = np.full((len(times), len(states), 3), np.nan)
+        carried = np.moveaxis(solution.y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
+        turns = rotation.matrix(rotation.normalize(solution.y[3:7].T))
+        relative = np.einsum("tij,tnj->tni", turns, to_points(carried, k))
+        points[:, good] = relative + solution.y[:3].T[:, None]
+        return {"time": times, "points": points, "position": solution.y[:3].T.copy()}

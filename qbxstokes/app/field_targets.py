@@ -57,6 +57,27 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
     return found
 
 
+def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
+    """Indices of the stored instants at which a motion wants its field; raises CaseError."""
+    section = loaded.case.field
+    assert section is not None
+    if section.every is not None:
+        return list(range(0, len(times), section.every))
+    if section.at is None:
+        return [len(times) - 1]
+    found = []
+    for number, instant in enumerate(section.at):
+        index = int(np.abs(times - instant).argmin())
+        if abs(times[index] - instant) > 1e-9 * max(1.0, abs(times[-1])):
+            raise loaded.error(
+                ("field", "at", number),
+                f"{instant:g} is not a stored instant",
+                f"the nearest one is {times[index]:.17g}; time.at stores any",
+            )
+        found.append(index)
+    return found
+
+
 def plane_axes(plane: Plane) -> tuple[Array, Array]:
     """Orthonormal directions of the plane's coordinates."""
     first = np.array(plane.first) / np.linalg.norm(plane.first)

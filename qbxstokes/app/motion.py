@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,12 +103,24 @@ def run_motion(
         "final_orientation": samples["orientation"][-1],
         "final_axis": samples["axis"][-1],
     }
-    with clock.part("output"):
-        replace = overwrite or case.output.overwrite
-        with ResultWriter(plan.output, case.task, provenance, replace) as writer:
+    replace = overwrite or case.output.overwrite
+    with ResultWriter(plan.output, case.task, provenance, replace) as writer:
+        with clock.part("output"):
             writer.append({"time": plan.times, **{name: samples[name] for name in plan.fields}})
+        if case.field is not None:
+            from qbxstokes.app.field import export_field, field_of_motion
+
+            summary["field"] = field_of_motion(
+                loaded, plan.times, samples, clock, writer.file, equations, initial
+            )
+            summary["field"]["files"] = export_field(loaded, clock, writer.file, plan.output)
+        with clock.part("output"):
             summary["wall_times"] = dict(clock.parts)
             summary["result"] = str(writer.finish(summary))
+    if case.field is not None:
+        from qbxstokes.app.field import draw_pictures
+
+        summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
 

@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import FlowAround
+from qbxstokes.bie.field import FlowAround, FlowField, surface_map
+from qbxstokes.geometry.spheroid import SurfaceGrid
 
 Array = NDArray[np.float64]
 Velocity = Callable[[float, Array], Array]
@@ -114,3 +115,32 @@ def streamlines(
     if both:
         lines = np.concatenate([run(-1.0)[:, :0:-1], lines], axis=1)
     return np.asarray(lines @ around.rotation.T + around.position)
+
+
+class MovingFlow:
+    """Velocity relative to a body in any state of motion, from the velocity on its surface.
+
+    What the integral equation says of the disturbance on the surface is that it equals the rigid
+    motion minus the background; its table follows from that by one product per azimuthal mode.
+    """
+
+    def __init__(self, grid: SurfaceGrid, flow: FlowField, degree: int | None) -> None:
+        self.grid = grid
+        self.flow = flow
+        self.map = surface_map(grid, degree)
+
+    def relative_velocity(
+        self, t: float, position: Array, rotation: Array, velocity: Array, spin: Array, x: Array
+    ) -> Array:
+        """Relative velocity (N, 3) in the body frame at its points x (N, 3).
+
+        position, velocity and angular velocity spin (3,) of the body in space, rotation (3, 3).
+        """
+        u, w = velocity @ rotation, spin @ rotation
+
+        def slip(points: Array) -> Array:
+            space = points @ rotation.T + position
+            return np.asarray(u + np.cross(w, points) - self.flow.velocity(space, t) @ rotation)
+
+        table = self.map.flow(slip(self.grid.points))
+        return np.asarray(table.evaluate(x, with_stress=False)[0] - slip(x))

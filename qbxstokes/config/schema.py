@@ -101,6 +101,10 @@ class Case(Section):
         """Refuse the keys of `field` that belong to the other task."""
         if self.field is None:
             return
+        tracers = self.field.tracers
+        if self.task == "field" and tracers is not None and tracers.duration is None:
+            key = ("field", "tracers", "duration")
+            raise problem("is missing", "task: field needs the end of the paths", key)
         foreign = ("every", "at")
         if self.task == "motion":
             foreign = ("body", "force", "torque", "velocity", "angular_velocity")
