@@ -226,6 +226,7 @@ def explicit_scheme(section: Hydrodynamics) -> Scheme | None:
             r_over_h=section.r_over_h or 0.0,
             upsampling=section.upsampling or 0,
             side=side_of(section),
+            coefficients=section.coefficients or False,
         )
     names = ("n_theta", "expansion_order", *GRADED_KEYS)
     chosen = {name: getattr(section, name) for name in names if getattr(section, name) is not None}

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from qbxstokes.config.base import Boolean, Integer, Number, Section, Text, problem
 
-UNIFORM_KEYS = ("r_over_h", "upsampling")
+UNIFORM_KEYS = ("r_over_h", "upsampling", "coefficients")
 GRADED_KEYS = ("radius_factor", "panel_order", "panel_ratio")
 
 
@@ -47,6 +47,13 @@ class Hydrodynamics(Section):
     upsampling: Annotated[Integer, Field(ge=1, le=200)] | None = Field(
         default=None, description="upsampling factor of both directions (uniform)"
     )
+    coefficients: Boolean | None = Field(
+        default=None,
+        description=(
+            "sum expansions from their spherical-harmonic coefficients (uniform); unset: in the "
+            "equal form for one target, which is faster"
+        ),
+    )
     expansion: Literal["average", "inner", "outer"] | None = Field(
         default=None,
         description=(
@@ -83,7 +90,7 @@ class Hydrodynamics(Section):
                     (name,),
                 )
         if self.scheme == "uniform":
-            for name in ("n_theta", "n_phi", "expansion_order", *UNIFORM_KEYS):
+            for name in ("n_theta", "n_phi", "expansion_order", "r_over_h", "upsampling"):
                 if getattr(self, name) is None:
                     raise problem("is missing", "scheme: uniform needs it explicitly", (name,))
         return self

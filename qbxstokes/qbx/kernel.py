@@ -254,26 +254,10 @@ def target_row(  # type: ignore[no-untyped-def]
                 layer[7, j] = -ez * rp
                 layer[8, j] = sv - ez * rz
 
-        # Barycentric interpolation weights of this node (Berrut & Trefethen 2004, eq. 4.2).
-        exact = -1
-        total = 0.0
+        interpolation_weights(theta, grid_theta, barycentric, cosine, even, odd)
         for jt in range(n_theta):
-            delta = theta - grid_theta[jt]
-            if cosine:
-                delta = math.sin(0.5 * (theta + grid_theta[jt])) * math.sin(0.5 * delta)
-            if delta == 0.0:
-                exact = jt
-            else:
-                even[jt] = barycentric[jt] / delta
-                total += even[jt]
-        if exact >= 0:
-            for jt in range(n_theta):
-                even[jt] = 0.0
-            even[exact] = 1.0
-            total = 1.0
-        for jt in range(n_theta):
-            even[jt] *= theta_weights[i] / total
-            odd[jt] = even[jt] * (s / math.sin(grid_theta[jt])) if cosine else even[jt]
+            even[jt] *= theta_weights[i]
+            odd[jt] *= theta_weights[i]
 
         for j in range(n):
             cos_m[j] = 1.0
@@ -281,10 +265,7 @@ def target_row(  # type: ignore[no-untyped-def]
         for m in range(n_modes):
             # Parity across the pole: (-1)^m for the z component, the opposite for the others.
             along, across = (even, odd) if m % 2 == 0 else (odd, even)
-            for jt in range(n_theta):
-                square = (s / math.sin(grid_theta[jt])) ** 2 if cosine and m > 0 else 1.0
-                same[jt] = 0.5 * (1.0 + square) * across[jt]
-                other[jt] = 0.5 * (1.0 - square) * across[jt]
+            tell_apart(s, grid_theta, across, cosine and m > 0, same, other)
             accumulate_mode(kernel, n, cos_m, sin_m, same, other, along, 1.0, row_double[m])
             if with_single:
                 scale = s / (8.0 * math.pi)
@@ -293,6 +274,44 @@ def target_row(  # type: ignore[no-untyped-def]
                 cm = cos_m[j]
                 cos_m[j] = cm * cos_phi[j] - sin_m[j] * sin_phi[j]
                 sin_m[j] = sin_m[j] * cos_phi[j] + cm * sin_phi[j]
+
+
+@njit(cache=True)
+def interpolation_weights(theta, grid_theta, barycentric, cosine, even, odd):  # type: ignore[no-untyped-def]
+    """Weights (n_theta,) of interpolation at theta for components even and odd across the pole.
+
+    Barycentric formula of the second kind (Berrut & Trefethen 2004, eq. 4.2).
+    """
+    exact = -1
+    total = 0.0
+    for jt in range(grid_theta.size):
+        delta = theta - grid_theta[jt]
+        if cosine:
+            delta = math.sin(0.5 * (theta + grid_theta[jt])) * math.sin(0.5 * delta)
+        if delta == 0.0:
+            exact = jt
+        else:
+            even[jt] = barycentric[jt] / delta
+            total += even[jt]
+    if exact >= 0:
+        even[:] = 0.0
+        even[exact] = 1.0
+        total = 1.0
+    for jt in range(grid_theta.size):
+        even[jt] /= total
+        odd[jt] = even[jt] * (math.sin(theta) / math.sin(grid_theta[jt])) if cosine else even[jt]
+
+
+@njit(cache=True)
+def tell_apart(sine, grid_theta, across, apart, same, other):  # type: ignore[no-untyped-def]
+    """Weights of rho and phi / i from themselves and from each other.
+
+    Their difference vanishes at the pole by sin^2 more than their sum (`apart`, modes m >= 1).
+    """
+    for jt in range(grid_theta.size):
+        square = (sine / math.sin(grid_theta[jt])) ** 2 if apart else 1.0
+        same[jt] = 0.5 * (1.0 + square) * across[jt]
+        other[jt] = 0.5 * (1.0 - square) * across[jt]
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})

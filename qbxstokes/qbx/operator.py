@@ -79,7 +79,9 @@ class UniformScheme:
     """The thesis's scheme: one global radius, uniform upsampling (Bagge 2015, sec. 5.3.3).
 
     r_over_h gives the radius 2 pi (r/h) / n_theta; upsampling is kappa, in both directions.
-    n_phi is that of the grid, since the source rule refines it.
+    n_phi is that of the grid, since the source rule refines it. coefficients: sum the expansions
+    from their spherical-harmonic coefficients, as the thesis does, instead of the target-specific
+    form, which is the same number.
     """
 
     n_theta: int
@@ -88,6 +90,7 @@ class UniformScheme:
     r_over_h: float
     upsampling: int
     side: Side = "average"
+    coefficients: bool = False
 
     def __post_init__(self) -> None:
         _require(self.r_over_h > 0.0, "r_over_h", self.r_over_h, "positive")
@@ -156,6 +159,11 @@ def layer_rows(
     """
     from qbxstokes.qbx.kernel import target_row
 
+    form = target_row
+    if isinstance(scheme, UniformScheme) and scheme.coefficients:
+        from qbxstokes.qbx.harmonic_row import harmonic_row
+
+        form = harmonic_row
     grid = scheme.grid(spheroid, 1)
     sides = {"average": (1, -1), "inner": (-1,), "outer": (1,)}[scheme.side]
     shape = (len(rows), n_modes, 3, 3, scheme.n_theta)
@@ -164,7 +172,7 @@ def layer_rows(
     for index, row in enumerate(rows):
         theta = float(grid.theta[row])
         for side in sides:
-            target_row(
+            form(
                 float(spheroid.aspect_ratio),
                 theta,
                 side,
