@@ -8,6 +8,8 @@ over a block go to the cache, with everything they call inside.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from types import FunctionType
 from typing import Any
 
@@ -15,20 +17,32 @@ import numba
 
 from qbxstokes.motion import kernels
 
-
-def _compile() -> dict[str, Any]:
-    namespace = dict(vars(kernels))
-    for name, function in vars(kernels).items():
-        if isinstance(function, FunctionType) and function.__module__ == kernels.__name__:
-            bound = FunctionType(function.__code__, namespace, name, function.__defaults__)
-            bound.__module__, bound.__qualname__ = function.__module__, function.__qualname__
-            namespace[name] = numba.njit(cache=name.endswith("_block"), error_model="numpy")(bound)
-    return namespace
+_DEGREES = {
+    1: "free_motion_linear",
+    2: "free_motion_quadratic",
+    3: "free_motion_cubic",
+}
 
 
-_NAMESPACE = _compile()
+@cache
+def loops(degree: int) -> dict[str, Callable[..., None]]:
+    """The loops over a block, by name, for flows of one degree.
 
-massless_block = _NAMESPACE["massless_block"]
-massless_jacobian_block = _NAMESPACE["massless_jacobian_block"]
-inertial_block = _NAMESPACE["inertial_block"]
-inertial_jacobian_block = _NAMESPACE["inertial_jacobian_block"]
+    The degree is fixed before compilation, since a branch inside the loop would keep the compiler
+    from working on several bodies at once.
+    """
+    plain = {
+        name: function
+        for name, function in vars(kernels).items()
+        if isinstance(function, FunctionType) and function.__module__ == kernels.__name__
+    }
+    plain["free_motion"] = plain[_DEGREES[degree]]
+    namespace: dict[str, Any] = dict(vars(kernels))
+    for name, function in plain.items():
+        bound = FunctionType(function.__code__, namespace, name, function.__defaults__)
+        bound.__module__ = function.__module__
+        bound.__qualname__ = f"{name}_{degree}"  # the cache tells functions apart by this name
+        is_loop = name.endswith("_block")
+        options = {"cache": True} if is_loop else {"forceinline": True}
+        namespace[name] = numba.njit(error_model="numpy", **options)(bound)
+    return {name: namespace[name] for name in plain if name.endswith("_block")}

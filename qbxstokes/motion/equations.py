@@ -223,44 +223,27 @@ class RigidBodyEquations:
 
     def rate_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only."""
-        if not self.compiled(evaluations):
-            return self.rates
-        from qbxstokes.motion import compiled
-
-        mobility = np.array(self._mobility)
-        loaded = self._loads is not None
-
-        def massless(t: float, y: Array, out: Array) -> None:
-            compiled.massless_block(y, out, self._table, loaded, mobility, self._loads_at(t))
-
-        def inertial(t: float, y: Array, out: Array) -> None:
-            loads = self._loads_at(t)
-            compiled.inertial_block(
-                y, out, self._table, loaded, mobility, loads, self._rates, self._gyration
-            )
-
-        return massless if self.massless else inertial
+        return self._compiled("block") if self.compiled(evaluations) else self.rates
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
-        if not self.compiled(evaluations):
-            return self.jacobian
-        from qbxstokes.motion import compiled
+        return self._compiled("jacobian_block") if self.compiled(evaluations) else self.jacobian
 
-        mobility = np.array(self._mobility)
-        loaded = self._loads is not None
+    def _compiled(self, loop: str) -> Callable[[float, Array, Array], None]:
+        """A compiled loop over the block with its constant arguments."""
+        from qbxstokes.motion.compiled import loops
 
-        def massless(t: float, y: Array, out: Array) -> None:
-            loads = self._loads_at(t)
-            compiled.massless_jacobian_block(y, out, self._table, loaded, mobility, loads)
+        table, mobility, rates = self._table, np.array(self._mobility), self._rates
+        assert table is not None
+        kind = "massless" if self.massless else "inertial"
+        run = loops(int(table[0]))[f"{kind}_{loop}"]
+        inertia = () if self.massless else (rates, self._gyration)
 
-        def inertial(t: float, y: Array, out: Array) -> None:
-            loads = self._loads_at(t)
-            compiled.inertial_jacobian_block(
-                y, out, self._table, loaded, mobility, loads, self._rates, self._gyration
-            )
+        def function(t: float, y: Array, out: Array) -> None:
+            loads = None if self._loads is None else self._loads_at(t)
+            run(y, out, table, mobility, loads, *inertia)
 
-        return massless if self.massless else inertial
+        return function
 
     def rates(self, t: float, y: Array, out: Array) -> None:
         """Write dy/dt, (n_state, n_bodies), by the plain kernels."""
@@ -391,9 +374,8 @@ class RigidBodyEquations:
 
     def _polynomial_rate(self, t: float, rows: Any) -> Any:
         """The kernels in one piece: polynomial flow, no constraints."""
-        loaded = self._loads is not None
-        loads = self._rows(self._loads_at(t)) if loaded else None
-        arguments: list[Any] = [*rows, self._flow, self._law, loaded, self._mobility, loads]
+        loads = None if self._loads is None else self._rows(self._loads_at(t))
+        arguments: list[Any] = [*rows, self._flow, self._law, self._mobility, loads]
         if self.massless:
             return kernels.massless(*arguments)
         arguments += [self._rows(self._rates), self._gyration]

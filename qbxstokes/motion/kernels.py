@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 # float, complex or a NumPy row of either; numba infers its own types.
 Scalar = Any
 Vector = tuple[Scalar, Scalar, Scalar]
@@ -159,16 +161,17 @@ def free_motion_linear(
     d1: Scalar,
     d2: Scalar,
     d3: Scalar,
-    first: Any,
-    linear: float,
+    flow: Any,
+    law: Any,
 ) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree <= 1.
 
     U = u, Omega = w/2 + lambda d x (E d) (Jeffery, Proc. R. Soc. A 102, 1922, eq. 37 with
     lambda = (1 - k^2)/(1 + k^2); Bretherton, J. Fluid Mech. 14, 1962).
     """
+    first = flow[1]
     u1, u2, u3, a11, a12, a13, a21, a22, a23, a31, a32, a33 = first
-    o1, o2, o3 = turning(d1, d2, d3, first[3:12], 0.5, linear)
+    o1, o2, o3 = turning(d1, d2, d3, first[3:12], 0.5, law[0])
     return (
         u1 + a11 * x1 + a12 * x2 + a13 * x3,
         u2 + a21 * x1 + a22 * x2 + a23 * x3,
@@ -249,10 +252,8 @@ def free_motion_quadratic(
     d1: Scalar,
     d2: Scalar,
     d3: Scalar,
-    first: Any,
-    second: Any,
-    linear: float,
-    quadratic: Any,
+    flow: Any,
+    law: Any,
 ) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree 2.
 
@@ -260,6 +261,8 @@ def free_motion_quadratic(
     (ellipsoid: Brenner, Chem. Eng. Sci. 19, 1964; Kim & Karrila, Microhydrodynamics, 1991, ch. 3;
     spheroid in a paraboloidal flow: Chwang, J. Fluid Mech. 72, 1975).
     """
+    _, first, second, _ = flow
+    linear, quadratic, _ = law
     m = contract(second, x1, x2, x3)
     local = velocity_and_gradient(x1, x2, x3, first, m)
     v1, v2, v3 = velocity_correction(d1, d2, d3, second, quadratic)
@@ -289,17 +292,15 @@ def free_motion_cubic(
     d1: Scalar,
     d2: Scalar,
     d3: Scalar,
-    first: Any,
-    second: Any,
-    third: Any,
-    linear: float,
-    quadratic: Any,
-    cubic: Any,
+    flow: Any,
+    law: Any,
 ) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree 3.
 
     The law of `free_motion_quadratic` with B taken at the centre, plus `turning_correction`.
     """
+    _, first, second, third = flow
+    linear, quadratic, cubic = law
     m = contract(second, x1, x2, x3)
     local = velocity_and_gradient(x1, x2, x3, first, m)
     local = add_third(x1, x2, x3, local, second, contract_third(third, x1, x2, x3))
@@ -411,13 +412,11 @@ def free_motion(
 
     flow: (degree, first, second, third); law: (linear, quadratic, cubic) Faxen coefficients.
     """
-    degree, first, second, third = flow
-    linear, quadratic, cubic = law
-    if degree <= 1:
-        return free_motion_linear(x1, x2, x3, d1, d2, d3, first, linear)
-    if degree == 2:
-        return free_motion_quadratic(x1, x2, x3, d1, d2, d3, first, second, linear, quadratic)
-    return free_motion_cubic(x1, x2, x3, d1, d2, d3, first, second, third, linear, quadratic, cubic)
+    if flow[0] <= 1:
+        return free_motion_linear(x1, x2, x3, d1, d2, d3, flow, law)
+    if flow[0] == 2:
+        return free_motion_quadratic(x1, x2, x3, d1, d2, d3, flow, law)
+    return free_motion_cubic(x1, x2, x3, d1, d2, d3, flow, law)
 
 
 def massless(
@@ -430,12 +429,14 @@ def massless(
     q3: Scalar,
     flow: Any,
     law: Any,
-    loaded: bool,
     mobility: Any,
     loads: Any,
 ) -> Any:
-    """dy/dt of a body without inertia, y = (x, q): it moves with the force-free motion."""
-    if loaded:
+    """dy/dt of a body without inertia, y = (x, q): drag balances the loads at every instant.
+
+    loads: as in `driven_motion`, or None for none.
+    """
+    if loads is not None:
         axes = body_axes(q0, q1, q2, q3)
         motion = free_motion(x1, x2, x3, axes[6], axes[7], axes[8], flow, law)
         u1, u2, u3, o1, o2, o3 = driven_motion(motion, axes, mobility, loads)
@@ -462,16 +463,18 @@ def inertial(
     w3: Scalar,
     flow: Any,
     law: Any,
-    loaded: bool,
     mobility: Any,
     loads: Any,
     rates: Any,
     gyration: float,
 ) -> Any:
-    """dy/dt of a body with inertia, y = (x, q, V, W): see `accelerations`."""
+    """dy/dt of a body with inertia, y = (x, q, V, W): see `accelerations`.
+
+    loads: as in `driven_motion`, or None for none.
+    """
     axes = body_axes(q0, q1, q2, q3)
     motion = free_motion(x1, x2, x3, axes[6], axes[7], axes[8], flow, law)
-    if loaded:
+    if loads is not None:
         motion = driven_motion(motion, axes, mobility, loads)
     r0, r1, r2, r3 = quaternion_rate_body(q0, q1, q2, q3, w1, w2, w3)
     p1, p2, p3, s1, s2, s3 = accelerations(v1, v2, v3, w1, w2, w3, motion, axes, rates, gyration)
@@ -479,11 +482,13 @@ def inertial(
 
 
 # Loops over the bodies of a block, to be compiled (compiled.py). y and dydt: (n_state, n_bodies);
-# table: (71,), the flow and the law as `tables` orders them; loads: (12, n_bodies); rates:
-# (4, n_bodies); jacobian: (n_bodies, n_state, n_state). Arrays, since each number of a tuple costs
-# time at the border between Python and compiled code.
+# table: (71,), the flow and the law as `tables` orders them; mobility: (4,); loads: (12, n_bodies)
+# or None; rates: (4, n_bodies); jacobian: (n_bodies, n_state, n_state). The bodies pass through
+# tiles of fixed size, whose rows the compiler knows not to overlap: it then works on several bodies
+# at once. It may not reorder arithmetic, so that the numbers are those of the plain functions.
 
 STEP = 1e-100
+TILE = 64
 
 
 def tables(table: Any) -> Any:
@@ -547,71 +552,120 @@ def tables(table: Any) -> Any:
     return (int(t[0]), first, second, third), (t[61], quadratic, cubic)
 
 
-def column(rows: Any, b: int) -> Any:
-    """Entry b of four rows."""
-    return rows[0, b], rows[1, b], rows[2, b], rows[3, b]
+def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:
+    """Columns start to start + count of an array into a tile."""
+    for i in range(source.shape[0]):
+        for b in range(count):
+            tile[i, b] = source[i, start + b]
 
 
-def loads_of(loaded: bool, loads: Any, b: int) -> Any:
-    """The loads of body b as a tuple; zeros, without reading, when there are none."""
-    if not loaded:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return column(loads[0:4], b) + column(loads[4:8], b) + column(loads[8:12], b)
+def column_of_loads(loads: Any, b: int) -> Any:
+    """The loads of body b."""
+    return (
+        loads[0, b],
+        loads[1, b],
+        loads[2, b],
+        loads[3, b],
+        loads[4, b],
+        loads[5, b],
+        loads[6, b],
+        loads[7, b],
+        loads[8, b],
+        loads[9, b],
+        loads[10, b],
+        loads[11, b],
+    )
 
 
-def massless_block(y: Any, dydt: Any, table: Any, loaded: bool, mobility: Any, loads: Any) -> None:
+def massless_block(
+    y: Any,
+    dydt: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
+) -> None:
     """`massless` for every body of a block."""
     flow, law = tables(table)
-    for b in range(y.shape[1]):
-        rate = massless(
-            y[0, b],
-            y[1, b],
-            y[2, b],
-            y[3, b],
-            y[4, b],
-            y[5, b],
-            y[6, b],
-            flow,
-            law,
-            loaded,
-            mobility,
-            loads_of(loaded, loads, b),
-        )
+    s, r, f = np.empty((7, TILE)), np.empty((7, TILE)), np.empty((12, TILE))
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+
+        for b in range(count):
+            rate = massless(
+                s[0, b],
+                s[1, b],
+                s[2, b],
+                s[3, b],
+                s[4, b],
+                s[5, b],
+                s[6, b],
+                flow,
+                law,
+                mobility,
+                None if loads is None else column_of_loads(f, b),
+            )
+            r[0, b] = rate[0]
+            r[1, b] = rate[1]
+            r[2, b] = rate[2]
+            r[3, b] = rate[3]
+            r[4, b] = rate[4]
+            r[5, b] = rate[5]
+            r[6, b] = rate[6]
         for i in range(7):
-            dydt[i, b] = rate[i]
+            for b in range(count):
+                dydt[i, start + b] = r[i, b]
 
 
 def massless_jacobian_block(
-    y: Any, jacobian: Any, table: Any, loaded: bool, mobility: Any, loads: Any
+    y: Any,
+    jacobian: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
 ) -> None:
     """d`massless`/dy for every body of a block, one complex step per column."""
     flow, law = tables(table)
-    for b in range(y.shape[1]):
-        load = loads_of(loaded, loads, b)
+    s, r, f = np.empty((7, TILE)), np.empty((7, TILE)), np.empty((12, TILE))
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+
         for j in range(7):
-            rate = massless(
-                complex(y[0, b], STEP if j == 0 else 0.0),
-                complex(y[1, b], STEP if j == 1 else 0.0),
-                complex(y[2, b], STEP if j == 2 else 0.0),
-                complex(y[3, b], STEP if j == 3 else 0.0),
-                complex(y[4, b], STEP if j == 4 else 0.0),
-                complex(y[5, b], STEP if j == 5 else 0.0),
-                complex(y[6, b], STEP if j == 6 else 0.0),
-                flow,
-                law,
-                loaded,
-                mobility,
-                load,
-            )
+            for b in range(count):
+                rate = massless(
+                    complex(s[0, b], STEP if j == 0 else 0.0),
+                    complex(s[1, b], STEP if j == 1 else 0.0),
+                    complex(s[2, b], STEP if j == 2 else 0.0),
+                    complex(s[3, b], STEP if j == 3 else 0.0),
+                    complex(s[4, b], STEP if j == 4 else 0.0),
+                    complex(s[5, b], STEP if j == 5 else 0.0),
+                    complex(s[6, b], STEP if j == 6 else 0.0),
+                    flow,
+                    law,
+                    mobility,
+                    None if loads is None else column_of_loads(f, b),
+                )
+                r[0, b] = rate[0].imag / STEP
+                r[1, b] = rate[1].imag / STEP
+                r[2, b] = rate[2].imag / STEP
+                r[3, b] = rate[3].imag / STEP
+                r[4, b] = rate[4].imag / STEP
+                r[5, b] = rate[5].imag / STEP
+                r[6, b] = rate[6].imag / STEP
             for i in range(7):
-                jacobian[b, i, j] = rate[i].imag / STEP
+                for b in range(count):
+                    jacobian[start + b, i, j] = r[i, b]
 
 
 def inertial_block(
     y: Any,
     dydt: Any,
     table: Any,
-    loaded: bool,
     mobility: Any,
     loads: Any,
     rates: Any,
@@ -619,38 +673,62 @@ def inertial_block(
 ) -> None:
     """`inertial` for every body of a block."""
     flow, law = tables(table)
-    for b in range(y.shape[1]):
-        rate = inertial(
-            y[0, b],
-            y[1, b],
-            y[2, b],
-            y[3, b],
-            y[4, b],
-            y[5, b],
-            y[6, b],
-            y[7, b],
-            y[8, b],
-            y[9, b],
-            y[10, b],
-            y[11, b],
-            y[12, b],
-            flow,
-            law,
-            loaded,
-            mobility,
-            loads_of(loaded, loads, b),
-            column(rates, b),
-            gyration,
-        )
+    s, r, f, p = (
+        np.empty((13, TILE)),
+        np.empty((13, TILE)),
+        np.empty((12, TILE)),
+        np.empty((4, TILE)),
+    )
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+        copy_tile(rates, start, p, count)
+        for b in range(count):
+            rate = inertial(
+                s[0, b],
+                s[1, b],
+                s[2, b],
+                s[3, b],
+                s[4, b],
+                s[5, b],
+                s[6, b],
+                s[7, b],
+                s[8, b],
+                s[9, b],
+                s[10, b],
+                s[11, b],
+                s[12, b],
+                flow,
+                law,
+                mobility,
+                None if loads is None else column_of_loads(f, b),
+                (p[0, b], p[1, b], p[2, b], p[3, b]),
+                gyration,
+            )
+            r[0, b] = rate[0]
+            r[1, b] = rate[1]
+            r[2, b] = rate[2]
+            r[3, b] = rate[3]
+            r[4, b] = rate[4]
+            r[5, b] = rate[5]
+            r[6, b] = rate[6]
+            r[7, b] = rate[7]
+            r[8, b] = rate[8]
+            r[9, b] = rate[9]
+            r[10, b] = rate[10]
+            r[11, b] = rate[11]
+            r[12, b] = rate[12]
         for i in range(13):
-            dydt[i, b] = rate[i]
+            for b in range(count):
+                dydt[i, start + b] = r[i, b]
 
 
 def inertial_jacobian_block(
     y: Any,
     jacobian: Any,
     table: Any,
-    loaded: bool,
     mobility: Any,
     loads: Any,
     rates: Any,
@@ -658,30 +736,54 @@ def inertial_jacobian_block(
 ) -> None:
     """d`inertial`/dy for every body of a block, one complex step per column."""
     flow, law = tables(table)
-    for b in range(y.shape[1]):
-        load = loads_of(loaded, loads, b)
+    s, r, f, p = (
+        np.empty((13, TILE)),
+        np.empty((13, TILE)),
+        np.empty((12, TILE)),
+        np.empty((4, TILE)),
+    )
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+        copy_tile(rates, start, p, count)
         for j in range(13):
-            rate = inertial(
-                complex(y[0, b], STEP if j == 0 else 0.0),
-                complex(y[1, b], STEP if j == 1 else 0.0),
-                complex(y[2, b], STEP if j == 2 else 0.0),
-                complex(y[3, b], STEP if j == 3 else 0.0),
-                complex(y[4, b], STEP if j == 4 else 0.0),
-                complex(y[5, b], STEP if j == 5 else 0.0),
-                complex(y[6, b], STEP if j == 6 else 0.0),
-                complex(y[7, b], STEP if j == 7 else 0.0),
-                complex(y[8, b], STEP if j == 8 else 0.0),
-                complex(y[9, b], STEP if j == 9 else 0.0),
-                complex(y[10, b], STEP if j == 10 else 0.0),
-                complex(y[11, b], STEP if j == 11 else 0.0),
-                complex(y[12, b], STEP if j == 12 else 0.0),
-                flow,
-                law,
-                loaded,
-                mobility,
-                load,
-                column(rates, b),
-                gyration,
-            )
+            for b in range(count):
+                rate = inertial(
+                    complex(s[0, b], STEP if j == 0 else 0.0),
+                    complex(s[1, b], STEP if j == 1 else 0.0),
+                    complex(s[2, b], STEP if j == 2 else 0.0),
+                    complex(s[3, b], STEP if j == 3 else 0.0),
+                    complex(s[4, b], STEP if j == 4 else 0.0),
+                    complex(s[5, b], STEP if j == 5 else 0.0),
+                    complex(s[6, b], STEP if j == 6 else 0.0),
+                    complex(s[7, b], STEP if j == 7 else 0.0),
+                    complex(s[8, b], STEP if j == 8 else 0.0),
+                    complex(s[9, b], STEP if j == 9 else 0.0),
+                    complex(s[10, b], STEP if j == 10 else 0.0),
+                    complex(s[11, b], STEP if j == 11 else 0.0),
+                    complex(s[12, b], STEP if j == 12 else 0.0),
+                    flow,
+                    law,
+                    mobility,
+                    None if loads is None else column_of_loads(f, b),
+                    (p[0, b], p[1, b], p[2, b], p[3, b]),
+                    gyration,
+                )
+                r[0, b] = rate[0].imag / STEP
+                r[1, b] = rate[1].imag / STEP
+                r[2, b] = rate[2].imag / STEP
+                r[3, b] = rate[3].imag / STEP
+                r[4, b] = rate[4].imag / STEP
+                r[5, b] = rate[5].imag / STEP
+                r[6, b] = rate[6].imag / STEP
+                r[7, b] = rate[7].imag / STEP
+                r[8, b] = rate[8].imag / STEP
+                r[9, b] = rate[9].imag / STEP
+                r[10, b] = rate[10].imag / STEP
+                r[11, b] = rate[11].imag / STEP
+                r[12, b] = rate[12].imag / STEP
             for i in range(13):
-                jacobian[b, i, j] = rate[i].imag / STEP
+                for b in range(count):
+                    jacobian[start + b, i, j] = r[i, b]
