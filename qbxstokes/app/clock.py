@@ -1,4 +1,4 @@
-"""Wall times of the parts of a run."""
+"""Wall times of the parts of a run, which are the stages of `-log_view` as well."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+
+from qbxstokes.petsc.session import stage
 
 
 @dataclass
@@ -16,10 +18,11 @@ class Clock:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to `name`."""
+        """Add the time spent inside to `name`, a stage of PETSc's log once PETSc has started."""
         begin = time.perf_counter()
         try:
-            yield
+            with stage(name):
+                yield
         finally:
             self.parts[name] = self.parts.get(name, 0.0) + time.perf_counter() - begin
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import atexit
 import gc
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -29,6 +30,18 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
         if not database.hasName(name):
             database.setValue(name, None if value is None or value is True else str(value))
     return PETSc
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """A stage of `-log_view`, so that PETSc's own events are told apart by part of the run."""
+    PETSc = sys.modules.get("petsc4py.PETSc")
+    if PETSc is None or not PETSc.Sys.isInitialized() or PETSc.Sys.isFinalized():
+        yield
+        return
+    # PETSc knows the stage by its name: entering it again goes on with the same one.
+    with PETSc.Log.Stage(name):
+        yield
 
 
 def _release() -> None:
