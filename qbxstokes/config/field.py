@@ -204,6 +204,11 @@ class FieldSection(Section):
         description="task: motion: at these instants, which must be among the stored ones",
         examples=[[0.0, 1.0]],
     )
+    check: Annotated[Integer, Field(ge=0, le=1_000_000)] = Field(
+        default=6,
+        description="points at which QBX and quadrature check the table (some ten a second); more "
+        "than 6 are spread over the plane and stored",
+    )
     vtk: Boolean = Field(
         default=True, description="write a .vtkhdf file for ParaView beside the result"
     )

@@ -37,8 +37,8 @@ def export(result: h5py.File, path: Path) -> Path:
         for name, inner in group.items():
             if not isinstance(inner, h5py.Group):
                 continue
-            if name == "tracers":
-                continue  # on instants of their own
+            if name in ("tracers", "error"):
+                continue  # on instants of their own, and a sample of the plane
             polygonal = name in ("surface", "streamlines")
             kind = "PolyData" if polygonal else "UnstructuredGrid"
             block = _typed(root, name, kind)

@@ -1,0 +1,225 @@
+"""Pictures of the flow around a body: velocity in a plane, traction on the body, and errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.geometry import rotation
+from qbxstokes.plots.source import ResultLike, aspect_ratio
+from qbxstokes.plots.style import (
+    BLACK,
+    COLUMN,
+    PAGE,
+    PALE,
+    SEQUENTIAL,
+    label,
+    letter_panels,
+    new_figure,
+    save,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+_LEAST_ERROR = 1e-17  # what an error of zero is drawn as
+_ARROWS = (9, 16)  # arrows of traction, in theta and phi at most
+
+
+def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
+    """Draw what the result's group `field` holds, at its last instant; the files written.
+
+    stem: path of the pictures without the ending, to which -velocity, -traction and -error are
+    added. Raises CaseError where a picture cannot be written.
+    """
+    field = result.groups.get("field", {})
+    written = []
+    makers = {"plane": ("velocity", velocity_figure), "surface": ("traction", traction_figure)}
+    for group, (name, make) in makers.items():
+        if group in field and (group != "plane" or "velocity" in field[group]):
+            with styled():
+                written.append(save(make(result), Path(f"{stem}-{name}.{kind}")))
+    if "error" in field:
+        with styled():
+            written.append(save(error_figure(result), Path(f"{stem}-error.{kind}")))
+    return written
+
+
+def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
+    """Speed in the plane, and streamlines of the velocity relative to the body's centre."""
+    plane = result.groups["field"]["plane"]
+    a, b = _coordinates(plane)
+    velocity = plane["velocity"][step] - _state(result, step, "velocity")
+    shape = tuple(plane["shape"])
+    along = [(velocity @ plane[name]).reshape(shape).T for name in ("first", "second")]
+    speed = np.linalg.norm(velocity, axis=-1).reshape(shape).T
+    figure, axes = _plane_axes(a, b)
+    mesh = axes.pcolormesh(a, b, speed, shading="gouraud", cmap=SEQUENTIAL, rasterized=True)
+    u, v = (np.ma.masked_invalid(part) for part in along)
+    if np.ma.maximum(np.abs(u).max(), np.abs(v).max()) > 0.0:
+        lines = axes.streamplot(
+            a, b, u, v, color="white", linewidth=0.5, density=1.3, arrowsize=0.6
+        )
+        lines.lines.set_capstyle("round")
+    _body_section(axes, result, plane, a, b, step)
+    _bar(figure, axes, mesh, label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"))
+    return figure
+
+
+def traction_figure(result: ResultLike, step: int = -1) -> Figure:
+    """Magnitude of the traction on the body from two sides, with its part in the view as arrows."""
+    from matplotlib.collections import PolyCollection
+
+    field = result.groups["field"]
+    surface = field["surface"]
+    n_theta, n_phi = (int(n) for n in surface["shape"])
+    first, second = _view(result, field, step)
+    view = np.cross(first, second)
+    points = (surface["points"][step] - _state(result, step, "position")).reshape(n_theta, n_phi, 3)
+    traction = surface["traction"][step].reshape(n_theta, n_phi, 3)
+    normals = surface["normals"][step].reshape(n_theta, n_phi, 3)
+    size = np.linalg.norm(traction, axis=-1)
+    index = np.arange(n_phi)
+    after = np.roll(index, -1)
+    corners = [(slice(0, -1), index), (slice(1, None), index), (slice(1, None), after)]
+    corners.append((slice(0, -1), after))
+    depth = sum(normals[corner] @ view for corner in corners)
+    value = sum(size[corner] for corner in corners) / 4.0
+    figure = new_figure(PAGE, 0.46 * PAGE)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    reach = 1.08 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
+    longest = float(size.max()) or 1.0
+    for axes, side, name in zip(panels, (1.0, -1.0), ("front", "back"), strict=True):
+        # Seen from behind, the first coordinate runs the other way.
+        flat = np.stack([side * (points @ first), points @ second], axis=-1)
+        seen = side * depth > 0.0
+        polygons = np.stack([flat[corner] for corner in corners], axis=-2)[seen]
+        mesh = PolyCollection(
+            list(polygons), array=value[seen], cmap=SEQUENTIAL, edgecolors="face", linewidths=0.2
+        )
+        mesh.set_clim(0.0, longest)
+        mesh.set_rasterized(True)
+        axes.add_collection(mesh)
+        rows = slice(max(1, n_theta // 18), None, max(1, n_theta // _ARROWS[0]))
+        columns = slice(0, None, max(1, n_phi // _ARROWS[1]))
+        facing = side * (normals[rows, columns] @ view) > 0.15
+        start = flat[rows, columns][facing]
+        arrow = traction[rows, columns][facing]
+        axes.quiver(
+            *start.T,
+            side * (arrow @ first),
+            arrow @ second,
+            color="white",
+            edgecolor=BLACK,
+            linewidth=0.3,
+            angles="xy",
+            scale_units="xy",
+            scale=4.0 * longest / reach,
+            width=0.008,
+        )
+        axes.set_aspect("equal")
+        axes.set_xlim(-reach, reach)
+        axes.set_ylim(-reach, reach)
+        axes.set_title(name, loc="left", pad=4)
+        axes.set_xlabel(label("first coordinate" if side > 0 else "minus first coordinate", "c"))
+    panels[0].set_ylabel(label("second coordinate", "c"))
+    letter_panels(list(panels))
+    colours = figure.colorbar(mesh, ax=list(panels), fraction=0.05, pad=0.02)
+    colours.set_label(label(r"traction $|\mathbf{\sigma}\mathbf{n}|$", "mu/tau"))
+    return figure
+
+
+def error_figure(result: ResultLike) -> Figure:
+    """Difference between table and quadrature at points of the plane, relative."""
+    from matplotlib.colors import LogNorm
+
+    field = result.groups["field"]
+    plane, error = field["plane"], field["error"]
+    a, b = _coordinates(plane)
+    figure, axes = _plane_axes(a, b)
+    size = np.maximum(error["error"], _LEAST_ERROR)
+    i, j = np.unravel_index(error["index"], tuple(plane["shape"]))
+    first, second = np.unique(i), np.unique(j)
+    values = np.full((len(second), len(first)), np.nan)
+    values[np.searchsorted(second, j), np.searchsorted(first, i)] = size
+    norm = LogNorm(float(np.nanmin(size)), max(float(np.nanmax(size)), 1.1 * _LEAST_ERROR))
+    mesh = axes.pcolormesh(
+        a[first], b[second], values, norm=norm, shading="nearest", cmap=SEQUENTIAL, rasterized=True
+    )
+    _body_section(axes, result, plane, a, b, -1)
+    axes.set_xlim(a[0], a[-1])
+    axes.set_ylim(b[0], b[-1])
+    _bar(figure, axes, mesh, "relative error of the velocity")
+    return figure
+
+
+def _coordinates(plane: Mapping[str, Any]) -> tuple[Array, Array]:
+    return plane["first_coordinate"], plane["second_coordinate"]
+
+
+def _plane_axes(a: Array, b: Array) -> tuple[Figure, Axes]:
+    """Figure and axes of the plane's shape, with room for the colour bar."""
+    shape = (b[-1] - b[0]) / (a[-1] - a[0])
+    width = COLUMN if shape > 1.5 else 1.35 * COLUMN
+    figure = new_figure(width, min(max(0.8 * width * shape + 0.5, 1.6), 8.0))
+    axes = figure.subplots()
+    axes.set_aspect("equal")
+    axes.set_xlabel(label("first coordinate", "c"))
+    axes.set_ylabel(label("second coordinate", "c"))
+    axes.tick_params(color=BLACK)
+    return figure, axes
+
+
+def _bar(figure: Figure, axes: Axes, mesh: Any, text: str) -> None:
+    figure.colorbar(mesh, ax=axes, fraction=0.046, pad=0.03).set_label(text)
+
+
+def _state(result: ResultLike, step: int, name: str) -> Array:
+    """Quantity of the body at an instant of the field."""
+    times = np.asarray(result.arrays["time"])
+    instant = result.groups["field"]["time"][step]
+    value: Array = np.asarray(result.arrays[name])[int(np.abs(times - instant).argmin())]
+    return value
+
+
+def _view(result: ResultLike, field: Mapping[str, Any], step: int) -> tuple[Array, Array]:
+    """Directions across and up the picture of the body: those of the plane, if there is one."""
+    if "plane" in field:
+        plane = field["plane"]
+        first, second = plane["first"], plane["second"]
+        if plane["frame"] == "body":
+            turn = rotation.matrix(_state(result, step, "orientation"))
+            first, second = turn @ first, turn @ second
+        return first, second
+    axis = _state(result, step, "axis")
+    across = np.eye(3)[int(np.abs(axis).argmin())]
+    second = np.cross(axis, across)
+    return axis, second / np.linalg.norm(second)
+
+
+def _body_section(
+    axes: Axes, result: ResultLike, plane: Mapping[str, Any], a: Array, b: Array, step: int
+) -> None:
+    """Fill the section of the body by the plane, and draw its outline."""
+    k = aspect_ratio(result)
+    turn = rotation.matrix(_state(result, step, "orientation"))
+    # On a grid of its own, fine enough for the outline of any section.
+    fine_a, fine_b = np.linspace(a[0], a[-1], 801), np.linspace(b[0], b[-1], 801)
+    offsets = (
+        fine_a[None, :, None] * plane["first"] + fine_b[:, None, None] * plane["second"]
+    ) + plane["origin"]
+    if plane["frame"] == "space":
+        offsets = offsets - _state(result, step, "position")
+    body = offsets if plane["frame"] == "body" else offsets @ turn
+    level = np.sum((body / [k, k, 1.0]) ** 2, axis=-1)
+    if level.min() < 1.0 < level.max():
+        axes.contourf(fine_a, fine_b, level, levels=[-1.0, 1.0], colors=[PALE], zorder=3)
+        axes.contour(fine_a, fine_b, level, levels=[1.0], colors=[BLACK], linewidths=0.8, zorder=4)
