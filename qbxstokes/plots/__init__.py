@@ -1,0 +1,1 @@
+"""Pictures and animations of results, drawn with matplotlib."""

@@ -1,0 +1,183 @@
+"""The orbit of the symmetry axis on the unit sphere; what lies behind the sphere is lighter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.plots import style
+from qbxstokes.plots.between import axis_path
+from qbxstokes.plots.camera import Camera, split_at_silhouette
+from qbxstokes.plots.source import ResultLike, instants, samples
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+_REACH = 1.32  # how far the coordinate axes stick out of the sphere
+_CLOSED = 0.05  # an orbit that keeps within this of itself is drawn in one colour
+_MANY = 40_000  # points of a path; longer ones are drawn as pixels
+
+
+def orbit_figure(result: ResultLike, camera: Camera | None = None) -> Figure:
+    """The path of the axis D3 on the unit sphere, seen from the direction of the camera."""
+    figure = style.new_figure(style.COLUMN, 3.3)
+    draw_orbit(figure.add_subplot(), result, camera)
+    return figure
+
+
+def draw_orbit(axes: Axes, result: ResultLike, camera: Camera | None = None) -> None:
+    """The orbit, in one colour where it closes on itself, coloured by time where it drifts."""
+    times, axis = instants(result), samples(result, "axis", 3)
+    spin = samples(result, "angular_velocity", 3) if "angular_velocity" in result.arrays else None
+    at, path = axis_path(times, axis, spin)
+    camera = camera or Camera()
+    draw_sphere(axes, camera)
+    if drifts(path):
+        _draw_coloured(axes, camera, at, path)
+    else:
+        _draw_path(axes, camera, path)
+    # The end lies inside the ring of the start where the two coincide.
+    for point, name, face, size in (
+        (path[0], "start", "white", 6.5),
+        (path[-1], "end", style.BLACK, 3.5),
+    ):
+        front = camera.depth(point) >= 0.0
+        axes.plot(
+            *camera.project(point)[:, None],
+            "o",
+            markersize=size,
+            markerfacecolor=face,
+            markeredgecolor=style.BLACK if front else style.GREY,
+            label=name,
+            zorder=6 if front else 2.5,
+        )
+    style.legend_above(axes, handle=1.0)
+
+
+def drifts(path: Array) -> bool:
+    """Whether a path (n, 3) ends elsewhere than it began, and not just at another phase.
+
+    The points of the last quarter are compared with all of the first half, and the first quarter
+    with the last half: a closed orbit passed at least twice keeps within its own line.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(path) < 40:
+        return False
+    half, quarter = len(path) // 2, len(path) // 4
+    late, _ = cKDTree(path[:half]).query(path[-quarter:])
+    early, _ = cKDTree(path[half:]).query(path[:quarter])
+    return bool(max(late.max(), early.max()) > _CLOSED)
+
+
+def draw_sphere(axes: Axes, camera: Camera) -> None:
+    """The unit sphere with its graticule, the plane of x1 and x2, and the coordinate axes."""
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor="#f7f7f7", edgecolor="none", zorder=0))
+    axes.add_patch(
+        Circle((0.0, 0.0), 1.0, facecolor="none", edgecolor=style.GREY, linewidth=0.8, zorder=3)
+    )
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
+    for latitude in np.radians([-60.0, -30.0, 30.0, 60.0]):
+        ring = circle * np.cos(latitude) + [0.0, 0.0, np.sin(latitude)]
+        _draw_ring(axes, camera, ring, style.PALE, 0.4, hidden=False)
+    for longitude in np.radians(np.arange(0.0, 180.0, 30.0)):
+        across = np.array([np.cos(longitude), np.sin(longitude), 0.0])
+        ring = circle[:, :1] * across + circle[:, 1:2] * [0.0, 0.0, 1.0]
+        _draw_ring(axes, camera, ring, style.PALE, 0.4, hidden=False)
+    _draw_ring(axes, camera, circle, style.GREY, 0.6, hidden=True)
+    for index, direction in enumerate(np.eye(3)):
+        _draw_arrow(axes, camera, direction, f"$x_{index + 1}$")
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.28, 1.28)
+    axes.set_ylim(-1.12, 1.36)
+    axes.set_axis_off()
+
+
+def _draw_ring(
+    axes: Axes, camera: Camera, ring: Array, color: str, width: float, hidden: bool
+) -> None:
+    front, back = split_at_silhouette(ring, camera.depth(ring))
+    for piece in front:
+        axes.plot(*camera.project(piece).T, color=color, linewidth=width, zorder=1)
+    for piece in back if hidden else []:
+        axes.plot(*camera.project(piece).T, color=style.PALE, linewidth=width, zorder=0.5)
+
+
+def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None:
+    """A coordinate axis from where it leaves the sphere, or comes out from behind it."""
+    tip = camera.project(_REACH * direction)
+    front = camera.depth(direction) >= 0.0
+    length = float(np.linalg.norm(tip))
+    start = camera.project(direction) if front else tip / max(length, 1e-12)
+    if front or length > 1.02:
+        axes.annotate(
+            "",
+            xy=tip,
+            xytext=start,
+            arrowprops={
+                "arrowstyle": "-|>,head_length=0.35,head_width=0.13",
+                "color": style.BLACK,
+                "linewidth": 0.7,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            },
+            zorder=5 if front else 0.2,
+        )
+    towards = tip / max(length, 1e-12)
+    axes.text(*(tip + 0.08 * towards), name, ha="center", va="center", zorder=5)
+
+
+def _draw_path(axes: Axes, camera: Camera, path: Array) -> None:
+    front, back = split_at_silhouette(path, camera.depth(path))
+    many = len(path) > _MANY
+    for piece in back:
+        axes.plot(
+            *camera.project(piece).T,
+            color="#9cc3dc",
+            linewidth=0.8,
+            zorder=2,
+            gid="behind",
+            rasterized=many,
+        )
+    for piece in front:
+        axes.plot(
+            *camera.project(piece).T,
+            color=style.BLUE,
+            linewidth=1.4,
+            zorder=4,
+            gid="before",
+            rasterized=many,
+        )
+
+
+def _draw_coloured(axes: Axes, camera: Camera, at: Array, path: Array) -> None:
+    from matplotlib.collections import LineCollection
+
+    many = len(path) > _MANY
+    flat = camera.project(path)
+    segments = np.stack([flat[:-1], flat[1:]], axis=1)
+    middle = 0.5 * (at[:-1] + at[1:])
+    ahead = camera.depth(path[:-1] + path[1:]) >= 0.0
+    for chosen, width, fade, zorder in ((~ahead, 0.8, 0.35, 2), (ahead, 1.4, 1.0, 4)):
+        lines = LineCollection(
+            segments[chosen],
+            cmap=style.SEQUENTIAL,
+            linewidths=width,
+            alpha=fade,
+            zorder=zorder,
+            rasterized=many,
+            capstyle="round" if fade == 1.0 else "butt",
+        )
+        lines.set_array(middle[chosen])
+        lines.set_clim(at[0], at[-1])
+        axes.add_collection(lines)
+    bar = axes.figure.colorbar(lines, ax=axes, location="bottom", shrink=0.6, aspect=30, pad=0.0)
+    bar.set_label(style.label("time $t$", "tau"))

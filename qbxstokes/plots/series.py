@@ -1,0 +1,155 @@
+"""Quantities of one trajectory against time: each function fills one panel.
+
+Components of very different size are drawn in panels of their own, so that a drift across the
+stream is not flattened by the motion along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.plots import style
+from qbxstokes.plots.source import SYMBOLS, ResultLike, instants, samples, units
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+Panel = Callable[["Axes"], None]
+
+_APART = 20.0  # components whose sizes differ by more than this do not share a panel
+_NOISE = 1e-10  # of the largest component: nothing but rounding
+_POLE = 1e-8  # orbit constants below this, or above its inverse, are 0 or infinite but for rounding
+_CONSTANT = 1e-3  # largest relative drift of an orbit constant that counts as kept
+
+
+def draw_lines(axes: Axes, times: Array, curves: Sequence[tuple[str, Array]]) -> None:
+    """Named curves over time, each in its own style, the legend above them."""
+    for index, (name, values) in enumerate(curves):
+        look = style.line_style(index)
+        if len(times) == 1:
+            look |= {"marker": style.LINES[index % len(style.LINES)][2]}
+        many = len(times) > style.RASTER_LIMIT
+        axes.plot(times, values, label=name, rasterized=many, **look)
+    axes.set_xlabel(style.label("time $t$", "tau"))
+    if len(curves) > 1:
+        style.legend_above(axes)
+
+
+def alike(sizes: Array) -> list[list[int]]:
+    """Indices of components grouped so that sizes in a group are within a factor of each other.
+
+    Components that vanish (against the largest) go with the smallest of the others.
+    """
+    order = np.argsort(-sizes, kind="stable")
+    groups = [[int(order[0])]]
+    for index in order[1:].tolist():
+        head = sizes[groups[-1][0]]
+        if sizes[index] <= _NOISE * sizes[order[0]] or sizes[index] * _APART >= head:
+            groups[-1].append(index)
+        else:
+            groups.append([index])
+    return [sorted(group) for group in groups]
+
+
+def vector_panels(result: ResultLike, name: str) -> list[Panel]:
+    """Panels of a vector's components; of the position, the displacement since the start."""
+    times = instants(result)
+    values = samples(result, name, 3)
+    symbol, parts = SYMBOLS[name]
+    if name == "position":
+        values = values - values[0]
+        symbol, parts = rf"\Delta {symbol}", tuple(rf"\Delta {part}" for part in parts)
+    groups = alike(np.nanmax(np.abs(np.where(np.isfinite(values), values, np.nan)), axis=0))
+
+    def panel(group: list[int]) -> Panel:
+        def draw(axes: Axes) -> None:
+            draw_lines(axes, times, [(f"${parts[i]}$", values[:, i]) for i in group])
+            shown = parts[group[0]] if len(group) == 1 else symbol
+            style.set_ylabel(axes, f"${shown}$", units(result, name))
+
+        return draw
+
+    return [panel(group) for group in sorted(groups)]
+
+
+def axis_panel(result: ResultLike) -> Panel:
+    """Components of the symmetry axis."""
+    times, axis = instants(result), samples(result, "axis", 3)
+    symbol, parts = SYMBOLS["axis"]
+
+    def draw(axes: Axes) -> None:
+        draw_lines(axes, times, [(f"${parts[i]}$", axis[:, i]) for i in range(3)])
+        axes.set_ylabel(f"axis ${symbol}$")
+        axes.set_ylim(-1.08, 1.08)
+
+    return draw
+
+
+def euler_panel(result: ResultLike) -> Panel:
+    """Euler angles in half turns, continuous in time."""
+    times = instants(result)
+    angles = np.unwrap(samples(result, "euler_angles", 3), axis=0) / np.pi
+
+    def draw(axes: Axes) -> None:
+        parts = SYMBOLS["euler_angles"][1]
+        draw_lines(axes, times, [(f"${parts[i]}$", angles[:, i]) for i in range(3)])
+        axes.set_ylabel(r"Euler angles$\,/\,\pi$")
+
+    return draw
+
+
+def bounded_constant(constant: Array) -> Array:
+    """C/(1+C): 0 for log-rolling, 1 for tumbling, where the orbit constant C itself is infinite."""
+    finite = np.isfinite(constant)
+    return np.where(finite, constant / (1.0 + np.where(finite, constant, 0.0)), 1.0)
+
+
+def constant_panels(result: ResultLike) -> list[Panel]:
+    """The orbit constant, and how far it has gone from its value at the start.
+
+    The drift is shown on a logarithmic scale where it is tiny (an error), as ln(C/C0), whose
+    slope is the rate of drift, where it is not; not at all where C starts as 0 or infinite.
+    """
+    times, constant = instants(result), samples(result, "orbit_constant")
+
+    def draw(axes: Axes) -> None:
+        draw_lines(axes, times, [("$C/(1+C)$", bounded_constant(constant))])
+        axes.set_ylabel("orbit $C/(1+C)$")
+        axes.set_ylim(-0.04, 1.04)
+
+    usable = np.isfinite(constant) & (constant > 0.0)
+    if not _POLE < constant[0] < 1.0 / _POLE or usable.sum() < 2:
+        return [draw]
+    drift = np.full_like(constant, np.nan)
+    drift[usable] = np.log(constant[usable] / constant[0])
+
+    def draw_drift(axes: Axes) -> None:
+        if np.nanmax(np.abs(drift)) > _CONSTANT:
+            draw_lines(axes, times, [("", drift)])
+            axes.axhline(0.0, color=style.GREY, linewidth=0.5, zorder=0)
+            style.set_ylabel(axes, "drift $\\ln(C/C_0)$")
+            return
+        size = np.abs(np.expm1(drift))
+        draw_lines(axes, times, [("", np.where(size > 0.0, size, np.nan))])
+        axes.set_yscale("log")
+        axes.set_ylabel("drift $|C/C_0-1|$")
+
+    return [draw, draw_drift]
+
+
+def moves(result: ResultLike) -> bool:
+    """Whether the centre goes anywhere: by more than a thousandth of the polar radius."""
+    if "position" not in result.arrays:
+        return False
+    position = samples(result, "position", 3)
+    return bool(np.nanmax(np.abs(position - position[0])) > 1e-3)
+
+
+def loaded(result: ResultLike, name: str) -> bool:
+    """Whether a force or torque in the file is more than rounding."""
+    return name in result.arrays and bool(np.nanmax(np.abs(samples(result, name, 3))) > 1e-9)

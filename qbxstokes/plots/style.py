@@ -1,0 +1,228 @@
+"""How all pictures look: fonts, sizes, colours, line styles, labels, and how they are saved.
+
+Sizes are those of printed columns, so that a figure goes into a paper without being scaled. The
+colours are those of Okabe and Ito (2008, Color Universal Design), told apart by people with any
+colour vision; every line also has its own dashes and lightness, for print in grey. Figures are
+made without pyplot: no window, no backend is chosen, no global state is touched.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import cycle, islice
+from math import floor, inf, log10
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from qbxstokes import __version__
+from qbxstokes.errors import CaseError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORMATS = ("pdf", "svg", "png")
+
+# Widths of a column and of a page in inches (86 mm and 178 mm, common to physics journals).
+COLUMN = 3.4
+PAGE = 7.0
+
+BLACK = "#000000"
+GREY = "#8c8c8c"
+PALE = "#d9d9d9"
+BLUE = "#0072b2"
+VERMILION = "#d55e00"
+SKY = "#56b4e9"
+GREEN = "#009e73"
+PURPLE = "#cc79a7"
+ORANGE = "#e69f00"
+SEQUENTIAL = "viridis"  # lightness rises evenly: readable in grey and with any colour vision
+
+# One line style per curve: colour, dashes, marker.
+LINES: tuple[tuple[str, Any, str], ...] = (
+    (BLUE, "solid", "o"),
+    (VERMILION, (0, (5, 1.5)), "s"),
+    (SKY, (0, (5, 1.2, 1, 1.2)), "^"),
+    (BLACK, (0, (1, 1.2)), "D"),
+    (GREEN, (0, (7, 1.2, 1, 1.2, 1, 1.2)), "v"),
+    (PURPLE, (0, (3, 1)), "P"),
+    (ORANGE, (0, (9, 2)), "X"),
+)
+# More samples than this are drawn as pixels inside vector files, which stay small.
+RASTER_LIMIT = 20_000
+
+_SETTINGS: dict[str, Any] = {
+    "font.family": "serif",
+    "font.serif": ["STIXGeneral"],  # comes with matplotlib, so every machine has it
+    "mathtext.fontset": "stix",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "legend.borderaxespad": 0.3,
+    "legend.handlelength": 2.6,
+    "legend.columnspacing": 1.4,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.5,
+    "lines.solid_capstyle": "round",
+    "axes.linewidth": 0.6,
+    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.useoffset": False,
+    "axes.formatter.use_mathtext": True,
+    "axes.xmargin": 0.02,
+    "axes.grid": False,
+    "grid.linewidth": 0.4,
+    "grid.color": PALE,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "xtick.minor.size": 1.6,
+    "ytick.minor.size": 1.6,
+    "image.cmap": SEQUENTIAL,
+    "figure.dpi": 150,
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": 300,
+    "savefig.facecolor": "white",
+    "pdf.fonttype": 42,  # real fonts: text can be selected and edited
+    "svg.fonttype": "path",  # looks the same where the fonts are missing
+    "svg.hashsalt": "qbxstokes",  # the same picture is the same file
+    "path.simplify_threshold": 0.05,
+    "agg.path.chunksize": 20_000,
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Everything drawn or saved inside the block follows this module.
+
+    >>> with styled():  # doctest: +SKIP
+    ...     drawn = new_figure(COLUMN, 2.4)
+    """
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # nobody's matplotlibrc changes the pictures
+        matplotlib.rcParams.update(_SETTINGS)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of the given size in inches, drawn by Agg and laid out by itself."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def line_style(index: int, markers: bool = False) -> dict[str, Any]:
+    """Keywords of the curve number `index`: colour, dashes, and a marker where asked for."""
+    color, dashes, marker = next(islice(cycle(LINES), index, None))
+    style: dict[str, Any] = {"color": color, "linestyle": dashes}
+    if markers:
+        style |= {"marker": marker, "markerfacecolor": "white", "markeredgewidth": 0.9}
+    return style
+
+
+def units_text(units: str) -> str:
+    """Units as a formula: "mu c^2/tau" becomes "$\\mu c^2/\\tau$"; nothing for a pure number."""
+    if units in ("", "1"):
+        return ""
+    if units in ("rad", "s", "B"):
+        return units
+    names = {"mu": r"\mu", "tau": r"\tau"}
+    words = units.replace("1/tau", r"\tau^{-1}").replace("/", " / ").split()
+    return "$" + " ".join(names.get(word, word) for word in words).replace(" / ", "/") + "$"
+
+
+def label(text: str, units: str = "") -> str:
+    """An axis label: the quantity, and its units in parentheses where it has some."""
+    shown = units_text(units)
+    return f"{text} ({shown})" if shown else text
+
+
+def set_ylabel(axes: Axes, text: str, unit: str = "") -> None:
+    """Label a linear ordinate; a power of ten stands beside the units, where legends leave it.
+
+    To be called when everything is drawn.
+    """
+    low, high = axes.get_ylim()
+    size = max(abs(low), abs(high))
+    power = floor(log10(size)) if 0.0 < size < inf else 0
+    if -3 < power < 4:
+        axes.set_ylabel(label(text, unit))
+        return
+    factor = rf"10^{{{power}}}"
+    shown = units_text(unit).strip("$")
+    axes.set_ylabel(f"{text} (${factor}\\,{shown}$)" if shown else f"{text} (${factor}$)")
+    axes.yaxis.set_major_formatter(
+        lambda value, _: f"{round(value / 10.0**power, 9):g}".replace("-", "\u2212")
+    )
+
+
+def legend_above(axes: Axes, columns: int | None = None, handle: float | None = None) -> None:
+    """A legend above the axes, where it cannot cover data; in one row unless told otherwise.
+
+    `handle` is the length of a sample, shorter for mere markers.
+    """
+    handles, names = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            handles,
+            names,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncol=columns or len(handles),
+            handlelength=handle,
+        )
+
+
+def letter_panels(panels: Sequence[Axes]) -> None:
+    """(a), (b), ... at the upper right, above the axes, where there is more than one panel."""
+    if len(panels) > 1:
+        for index, axes in enumerate(panels):
+            axes.set_title(f"({chr(ord('a') + index)})", loc="right", pad=4)
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write the figure in the format of the name's ending; raises CaseError where it cannot.
+
+    The file appears under its name only when it is whole. An older picture is replaced.
+    """
+    kind = path.suffix[1:]
+    if kind not in FORMATS:
+        raise CaseError(f"{path}: pictures are written as {', '.join(FORMATS)}")
+    metadata: dict[str, dict[str, str | None]] = {
+        "pdf": {"Creator": f"qbxstokes {__version__}", "CreationDate": None},
+        "svg": {"Creator": f"qbxstokes {__version__}", "Date": None},
+        "png": {"Software": f"qbxstokes {__version__}"},
+    }
+    with whole_file(path) as temporary, styled():
+        figure.savefig(temporary, format=kind, metadata=metadata[kind])
+    return path
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path` that becomes `path` when the block succeeds."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise CaseError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        temporary.unlink(missing_ok=True)
