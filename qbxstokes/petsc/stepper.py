@@ -3,6 +3,12 @@
 `TS.step` takes one step at a time, so that sampling, events and checkpoints sit between the steps
 and cost nothing inside them. The steps do not depend on the instants that are asked for.
 
+Events are found by an observer between the steps, as roots of functions of the states inside a step
+(below), and not by TSSetEventHandler, which ends a step at each event and starts the next one
+afresh: then the motion would depend on what is watched for, BDF would fall back to order 1 at every
+half-turn, and the accuracy of the root would be an option of its own (whose meaning changed between
+versions of PETSc).
+
 Samples. A step from (t, y) to t + h is one application of the method's formula; the state at an
 instant inside it is the same formula with a shorter step from the same (t, y), taken by a second
 TS: as accurate as the steps, for the cost of one. PETSc's own interpolant serves where its order
@@ -28,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from petsc4py import PETSc
 
-from qbxstokes.errors import ConvergenceError
+from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 
@@ -91,13 +97,15 @@ class Trajectory:
     """Samples and the record of the integration.
 
     times (T,), states (T, n_bodies, n_state); both empty when chunks were streamed instead.
-    finished: False if `interrupted` said stop. The record of the integration is in `checkpoint`.
+    finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
+    last sample is then that instant. The record of the integration is in `checkpoint`.
     """
 
     times: Array
     states: Array
     checkpoint: Checkpoint
     finished: bool
+    stopped: bool = False
 
     @property
     def method(self) -> str:
@@ -135,11 +143,26 @@ class Trajectory:
         return self.checkpoint.norm_drift
 
 
+@dataclass(frozen=True)
+class Step:
+    """An accepted step for an observer: instants before and after, states (n_bodies, n_state).
+
+    state: the state at any instant between, as accurate as the steps.
+    """
+
+    before: float
+    after: float
+    start: Array
+    end: Array
+    state: Callable[[float], Array]
+
+
 @dataclass
 class _Counter:
     evaluations: int = 0
     jacobians: int = 0
     failure: BaseException | None = field(default=None)
+    refusal: FlowError | None = None  # the flow is singular where a stage was tried
 
 
 def integrate(
@@ -154,7 +177,10 @@ def integrate(
     on_chunk: Callable[[Chunk], None] | None = None,
     chunk_samples: int = 1000,
     chunk_steps: int = 10_000,
+    chunk_time: float = math.inf,
     interrupted: Callable[[], bool] | None = None,
+    observe: Callable[[Step], float | None] | None = None,
+    longest_step: float | None = None,
 ) -> Trajectory:
     """States at increasing `times` of the motion that starts from `start` at t0.
 
@@ -163,7 +189,9 @@ def integrate(
     method: "5dp", "8vr", "rosw", "arkimex" or "bdf"; None chooses, options `-ts_*` with `prefix`
     override it.
     on_chunk receives the samples in pieces of about `chunk_samples` (and at least every
-    `chunk_steps` steps a piece, possibly without samples) and they are not kept.
+    `chunk_steps` steps or `chunk_time` a piece, possibly without samples) and they are not kept.
+    observe is called after every step and may return an instant of it at which the run ends.
+    longest_step: bound on the steps, for loads that the start tells nothing about.
     Raises ConvergenceError when a step cannot be completed.
     """
     instants = np.asarray(times, dtype=np.float64)
@@ -172,15 +200,17 @@ def integrate(
     else:
         state = np.array(start, dtype=np.float64).reshape(equations.n_bodies, equations.n_state)
         checkpoint = Checkpoint(t0, state)
-    run = _Run(equations, checkpoint, instants, tolerance, method, prefix)
+    run = _Run(equations, checkpoint, instants, tolerance, method, prefix, longest_step)
     kept: list[Chunk] = []
-    finished = run.go(on_chunk or kept.append, chunk_samples, chunk_steps, interrupted)
+    limits = chunk_samples, chunk_steps, chunk_time
+    finished = run.go(on_chunk or kept.append, limits, interrupted, observe)
     shape = (0, equations.n_bodies, equations.n_state)
     return Trajectory(
         times=np.concatenate([np.empty(0), *(chunk.times for chunk in kept)]),
         states=np.concatenate([np.empty(shape), *(chunk.states for chunk in kept)]),
         checkpoint=run.checkpoint,
         finished=finished,
+        stopped=run.stopped,
     )
 
 
@@ -195,8 +225,10 @@ class _Run:
         tolerance: float,
         method: str | None,
         prefix: str,
+        longest_step: float | None,
     ) -> None:
         self.equations, self.checkpoint, self.times = equations, checkpoint, times
+        self.stopped, self._longest = False, longest_step
         self.counter = _Counter(checkpoint.evaluations, checkpoint.jacobians)
         self._prefix, self._end = prefix, float(times[-1])
         self._guide = _Guide(equations, checkpoint, self._end, tolerance)
@@ -238,6 +270,7 @@ class _Run:
         ts.getSNES().setOptionsPrefix(f"{self._prefix}ts_")
         defaults = {
             "ts_adapt_wnormtype": "infinity",
+            **({"ts_adapt_dt_max": repr(self._longest)} if self._longest else {}),
             "ts_arkimex_type": "5",
             "ts_bdf_order": "6",
             "ts_snes_linesearch_type": "basic",
@@ -274,6 +307,9 @@ class _Run:
                     rate.setArray(single(t, state.getArray(readonly=1).tolist()))
                 except (ZeroDivisionError, OverflowError):
                     rate.set(OVERFLOWN)  # a stage far off: the error estimate rejects the step
+                except FlowError as refusal:
+                    counter.refusal = refusal
+                    rate.set(OVERFLOWN)
                 except BaseException as failure:
                     counter.failure = failure
                     raise
@@ -391,6 +427,7 @@ class _Run:
         if not self._bodywise:
             fastest = max(fastest, float(np.max(equations.stiffness)))
         span = self._end - checkpoint.time
+        span = min(span, self._longest or span)
         return min(span, 0.1 / fastest) if fastest > 0.0 else span
 
     # -- the run ----------------------------------------------------------------------------
@@ -398,11 +435,12 @@ class _Run:
     def go(
         self,
         deliver: Callable[[Chunk], None],
-        chunk_samples: int,
-        chunk_steps: int,
+        limits: tuple[int, int, float],
         interrupted: Callable[[], bool] | None,
+        observe: Callable[[Step], float | None] | None,
     ) -> bool:
         """Step to the end; False if `interrupted` stopped it at the last cut."""
+        chunk_samples, chunk_steps, chunk_time = limits
         ts, times = self._ts, self.times
         index, t = self.checkpoint.next_sample, self.checkpoint.time
         samples: list[Array] = []
@@ -416,16 +454,41 @@ class _Run:
             before, start = t, self._vector.getArray(readonly=1).copy()
             self._step()
             t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
-            while index < len(times) and times[index] <= t:
+            halt = None
+            if observe is not None:
+                halt = observe(self._observed(before, start, t))
+            reach = t if halt is None else halt
+            while index < len(times) and times[index] <= reach:
                 samples.append(self._sample(self._state_at(before, start, t, times[index])))
                 index += 1
-            if len(samples) >= chunk_samples or ts.getStepNumber() >= cut or index == len(times):
+            if halt is not None:
+                # The run becomes one that was to end here.
+                self.stopped, last = True, self._state_at(before, start, t, halt)
+                if not (index and times[index - 1] == halt):
+                    samples.append(self._sample(last.copy()))
+                    self.times = np.append(times[:index], halt)
+                    index += 1
+                self.times = times = self.times[:index]
+                self._write(self._vector, last)
+                t = halt
+            late = ts.getStepNumber() >= cut or t >= self.checkpoint.time + chunk_time
+            if len(samples) >= chunk_samples or late or index == len(times):
                 self._cut(deliver, t, index, samples)
                 ts, samples = self._ts, []
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
             self._cut(deliver, t, index, samples)
         return True
+
+    def _observed(self, before: float, start: Array, after: float) -> Step:
+        """The last step, for an observer."""
+        end = self._vector.getArray(readonly=1)
+        first, last = (np.array(self._componentwise(values).T) for values in (start, end))
+
+        def state(t: float) -> Array:
+            return first if t <= before else self._state_at(before, start, after, t)
+
+        return Step(before, after, first, last, state)
 
     def _step(self) -> None:
         """One accepted step; every way it can fail ends in a ConvergenceError."""
@@ -445,8 +508,10 @@ class _Run:
         if self._monitored:
             ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
 
-    def _failed(self, what: str) -> ConvergenceError:
+    def _failed(self, what: str) -> ConvergenceError | FlowError:
         ts = self._ts
+        if self.counter.refusal is not None:
+            return self.counter.refusal
         return ConvergenceError(
             f"time integration ({self.method}) stopped at t = {ts.getTime():.6g}, step "
             f"{ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}. Try a larger "
