@@ -5,12 +5,21 @@ message (what, where, what would be right) and leaves with `exit_status`.
 """
 
 
+def escaped(text: str) -> str:
+    """`text` on one line, with control and other unprintable characters as escape sequences."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class QbxStokesError(Exception):
     """Base class; a run that meets one ends with `exit_status` and the message alone."""
 
     exit_status = 1
     # Whether every rank raises it, so that one telling is enough and all leave by themselves.
     on_all_ranks = False
+
+    def __str__(self) -> str:
+        """The message on one printable line, whatever names and data it quotes."""
+        return escaped(super().__str__())
 
 
 class CaseError(QbxStokesError):

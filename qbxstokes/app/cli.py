@@ -163,7 +163,7 @@ def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     for word in words:
         try:
             loaded = load_case(word, options.set)
-            make_plan(loaded, overwrite=True)
+            make_plan(loaded, options.overwrite)
         except QbxStokesError as error:
             reports.append({"case": word, "valid": False, "error": str(error)})
             status = max(status, _fail(error))

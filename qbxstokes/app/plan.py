@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import CaseError, FlowError
 from qbxstokes.flows.check import check_singularities, check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, free_name
@@ -45,8 +45,12 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
     case, flow = loaded.case, loaded.flow
     assert case.time is not None  # the schema requires it for this task
     output = result_path(loaded)
-    check_writable(output)
-    if not (overwrite or case.output.overwrite):
+    overwrite = overwrite or case.output.overwrite
+    try:
+        check_writable(output, overwrite)
+    except CaseError as error:
+        raise loaded.error("output.file", str(error)) from None
+    if not overwrite:
         output = free_name(output)
     fields = tuple(MOTION_FIELDS)
     if case.output.fields is not None:
@@ -141,6 +145,10 @@ def rotation_period(gradient: Array, aspect_ratio: float) -> float | None:
     """
     k = aspect_ratio
     shape = (1.0 - k * k) / (1.0 + k * k)
+    largest = float(np.abs(gradient).max())
+    if not largest > 0.0:
+        return None
+    gradient = gradient / largest  # so that no rate is too large or too small for its square
     strain, spin = 0.5 * (gradient + gradient.T), 0.5 * (gradient - gradient.T)
     if not np.any(spin):
         return None
@@ -152,7 +160,7 @@ def rotation_period(gradient: Array, aspect_ratio: float) -> float | None:
         omega = math.sqrt(max(0.0, squared))
     else:
         omega = float(np.abs(np.linalg.eigvals(system).imag).max())
-    return 2.0 * math.pi / omega if omega > 0.0 else None
+    return 2.0 * math.pi / omega / largest if omega > 0.0 else None
 
 
 def _times(case: Case, period: float | None) -> Array:

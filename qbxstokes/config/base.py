@@ -112,10 +112,13 @@ def to_boolean(value: Any) -> bool:
 
 
 def to_text(value: Any) -> str:
-    """A string; a bare number is taken as its text."""
+    """A printable string; a bare number is taken as its text."""
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise problem(f"is {describe(value)}", "a text is expected")
-    return str(value)
+    text = str(value)
+    if not text.isprintable():
+        raise problem("holds control characters", "printable text on one line is expected")
+    return text
 
 
 def entries(count: int, example: str) -> Any:

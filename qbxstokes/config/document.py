@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, escaped
 
 MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 24
-MAX_NODES = 400_000
+MAX_NODES = 100_000
 
 Key = tuple[str | int, ...]
 
@@ -34,7 +34,7 @@ _CONSTANTS |= dict.fromkeys(("", "~", "null", "Null", "NULL"))  # type: ignore[a
 
 def printable(text: str, limit: int = 80) -> str:
     """`text` on one line, control characters escaped and the middle of a long one left out."""
-    safe = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    safe = escaped(text)
     if len(safe) > limit:
         half = (limit - 3) // 2
         safe = f"{safe[:half]}...{safe[-half:]}"
@@ -95,8 +95,8 @@ class Document:
         """Apply one `--set section.key=value`; the value is read as YAML."""
         target, equals, text = assignment.partition("=")
         key: Key = tuple(
-            int(part) if part.isdigit() else part
-            for part in re.sub(r"\[(\d+)\]", r".\1", target.strip()).split(".")
+            int(part) if re.fullmatch("[0-9]{1,9}", part) else part
+            for part in re.sub(r"\[([0-9]+)\]", r".\1", target.strip()).split(".")
         )
         if not equals or not all(part != "" for part in key):
             raise CaseError(
@@ -135,6 +135,8 @@ def read_text(path: Path) -> str:
     try:
         if path.is_dir():
             raise CaseError(f"{name}: is a directory; name a case file (.yaml)")
+        if path.exists() and not path.is_file():  # reading a pipe might wait for ever
+            raise CaseError(f"{name}: is a pipe or device; name a case file (.yaml)")
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:

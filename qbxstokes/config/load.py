@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from qbxstokes.flows import Flow
 
 UNKNOWN = "unknown key"
+MAX_FAULTS = 100  # looked at one by one; a file with more of them is no case at all
 
 
 @dataclass(frozen=True)
@@ -138,11 +139,13 @@ def validate(document: Document) -> Case:
     try:
         return Case.model_validate(data)
     except ValidationError as error:
-        faults = [_fault(document, dict(entry)) for entry in error.errors(include_url=False)]
+        entries = [dict(entry) for entry in error.errors(include_url=False)]
     # A misspelt key comes first: it is the cause of the key that is then missing.
+    entries.sort(key=lambda entry: entry["type"] != "extra_forbidden")
+    faults = [_fault(document, entry) for entry in entries[:MAX_FAULTS]]
     faults.sort(key=lambda fault: (fault[1] != UNKNOWN, document.line(fault[0]), len(fault[0])))
     key, wrong, right = faults[0]
-    more = len({fault[0] for fault in faults}) - 1
+    more = len({fault[0] for fault in faults}) - 1 + max(0, len(entries) - MAX_FAULTS)
     if more:
         right += f" (and {more} more {'faults' if more > 1 else 'fault'} after it)"
     raise document.error(key, wrong, right) from None

@@ -29,8 +29,6 @@ class Output(Section):
     @field_validator("file")
     @classmethod
     def _is_a_path(cls, value: str | None) -> str | None:
-        if value is not None and not value.isprintable():
-            raise problem("holds control characters", "a file name such as result.h5")
         if value is not None and value.endswith("/"):
             raise problem("names a directory", "a file name such as result.h5")
         return value

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -199,10 +200,13 @@ def assigned(data: Any, key: Key, value: Any) -> Any:
     return copied
 
 
+_INDEX = re.compile("[0-9]{1,9}\\Z")
+
+
 def parse_key(text: str) -> Key:
     """'start.position[1]' or 'start.position.1' -> ('start', 'position', 1)."""
     parts = text.strip().replace("[", ".").replace("]", "").split(".")
-    return tuple(int(part) if part.isdigit() else part for part in parts)
+    return tuple(int(part) if _INDEX.match(part) else part for part in parts)
 
 
 def column_name(key: Key) -> str:

@@ -53,14 +53,17 @@ def check_stokesian(
         velocity = flow.velocity(points, t)
         gradient = flow.gradient(points, t)
         twist = np.linalg.norm(flow.vorticity_of_laplacian(points, t, radius), axis=-1)
+        speeds = np.linalg.norm(velocity, axis=-1)
+        gradients = np.linalg.norm(gradient, axis=(-1, -2))
     divergence = np.abs(np.trace(gradient, axis1=-2, axis2=-1))
-    finite = np.isfinite(velocity).all(axis=-1) & np.isfinite(gradient).all(axis=(-1, -2))
-    finite &= np.isfinite(twist)
+    # Norms of what is too large for a square are infinite as well.
+    finite = np.isfinite(speeds) & np.isfinite(gradients) & np.isfinite(twist)
     if not finite.all():
         where = _text(points[np.argmin(finite)])
-        raise FlowError(f"the flow or its derivatives are not finite at {where}, near the body")
-    scale = float(np.linalg.norm(gradient, axis=(-1, -2)).max())
-    speed = float(np.linalg.norm(velocity, axis=-1).max())
+        raise FlowError(
+            f"the flow or its derivatives are too large or not finite at {where}, near the body"
+        )
+    scale, speed = float(gradients.max()), float(speeds.max())
     scale = max(scale, _LEAST_GRADIENT * speed / radius)
     if scale == 0.0:
         return StokesianReport(0.0, 0.0, points[0], tolerance)

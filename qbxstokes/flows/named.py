@@ -76,7 +76,7 @@ class Extension(PolynomialFlow):
 
     def __init__(self, rate: float = 1.0, kind: str = "uniaxial") -> None:
         """Raises FlowError for a kind other than uniaxial, biaxial, planar."""
-        if kind not in _EXTENSIONS:
+        if not isinstance(kind, str) or kind not in _EXTENSIONS:
             raise FlowError(
                 f"kind of extension must be one of {', '.join(_EXTENSIONS)}, not {kind!r}",
                 ("kind",),
@@ -134,7 +134,7 @@ class PlanePoiseuille(PolynomialFlow):
     def __init__(self, half_width: float, speed: float = 1.0) -> None:
         width = number(half_width, "half_width", positive=True)
         top = number(speed, "speed")
-        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(-top / width**2, 0.0))
+        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(-top / width / width, 0.0))
         self._spec = {"type": self.type_name, "half_width": width, "speed": top}
 
 
@@ -146,6 +146,6 @@ class TubePoiseuille(PolynomialFlow):
     def __init__(self, radius: float, speed: float = 1.0) -> None:
         tube = number(radius, "radius", positive=True)
         top = number(speed, "speed")
-        curvature = -top / tube**2
+        curvature = -top / tube / tube
         super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(curvature, curvature))
         self._spec = {"type": self.type_name, "radius": tube, "speed": top}

@@ -71,7 +71,7 @@ class UserFlow(Flow):
         time = (t,) if self._takes_time else ()
         try:
             result = np.asarray(self.function(flat.copy(), *time, **self.parameters))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise FlowError(
                 f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
             ) from error
@@ -163,7 +163,7 @@ def load_function(name: str) -> Callable[..., Any]:
     module = importlib.util.module_from_spec(specification)
     try:
         specification.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise FlowError(
             f"{path_text} raised {type(error).__name__}: {error}", ("function",)
         ) from error

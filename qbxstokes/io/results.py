@@ -11,6 +11,7 @@ a file that carries the final name is a whole one.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -86,15 +87,48 @@ def free_name(path: Path) -> Path:
     return next(name for name in numbered(path) if not os.path.lexists(name))
 
 
-def check_writable(path: Path) -> None:
-    """Refuse a target that cannot be written, before anything is computed; raises CaseError."""
+def check_writable(path: Path, overwrite: bool = False) -> None:
+    """Refuse a target that cannot be written, before anything is computed; raises CaseError.
+
+    overwrite: an existing file would be replaced, which only a result of this program may be.
+    """
     folder = path.parent
-    if path.is_dir():
-        raise CaseError(f"{path}: is a directory; name a result file such as {path / 'result.h5'}")
-    if not folder.is_dir():
-        raise CaseError(f"{path}: there is no directory {folder}; create it or change output.file")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise CaseError(f"{path}: no permission to write in {folder.resolve()}; choose another")
+    try:
+        if path.is_dir():
+            example = path / "result.h5"
+            raise CaseError(f"{path}: is a directory; name a result file such as {example}")
+        if not folder.is_dir():
+            raise CaseError(
+                f"{path}: there is no directory {folder}; create it or change output.file"
+            )
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise CaseError(f"{path}: no permission to write in {folder.resolve()}; choose another")
+        with contextlib.suppress(FileNotFoundError):
+            os.lstat(_temporary(path))  # complains about a name that is too long
+    except OSError as error:
+        raise CaseError(f"{path}: cannot be a result file ({error.strerror})") from None
+    if overwrite and os.path.lexists(path) and not _is_result(path):
+        raise CaseError(
+            f"{path}: exists and is not a result of this program, so it is not overwritten; "
+            "choose another name or remove it"
+        )
+
+
+def _temporary(path: Path) -> Path:
+    """The name under which a result is written until it is complete."""
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+def _is_result(path: Path) -> bool:
+    import h5py
+
+    if not path.is_file():
+        return False
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except OSError:
+        return False
 
 
 class _PatientFile(io.FileIO):
@@ -151,10 +185,10 @@ class ResultWriter:
         """Create the temporary file beside `path`; raises CaseError where that is impossible."""
         import h5py
 
-        check_writable(path)
+        check_writable(path, overwrite)
         self.path = path
         self.overwrite = overwrite
-        self.temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self.temporary = _temporary(path)
         try:
             self.stream = _PatientFile(self.temporary, "w+")
         except OSError as error:
@@ -426,12 +460,17 @@ def load(path: str | Path) -> Result:
     import h5py
 
     path = Path(path)
-    if path.is_dir():
-        raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")
-    if not path.exists():
-        raise ResultFileError(f"{path}: no such file; name a result file (.h5)")
-    if not os.access(path, os.R_OK):
-        raise ResultFileError(f"{path}: no permission to read it")
+    try:
+        if path.is_dir():
+            raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")
+        if not path.exists():
+            raise ResultFileError(f"{path}: no such file; name a result file (.h5)")
+        if not path.is_file():  # reading a pipe might wait for ever
+            raise ResultFileError(f"{path}: is a pipe or device; name a result file (.h5)")
+        if not os.access(path, os.R_OK):
+            raise ResultFileError(f"{path}: no permission to read it")
+    except OSError as error:
+        raise ResultFileError(f"{path}: cannot be read ({error.strerror})") from None
     if not h5py.is_hdf5(path):
         raise ResultFileError(f"{path}: is not an HDF5 file; name a result of this program")
     try:
