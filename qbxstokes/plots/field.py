@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
-_ARROWS = (9, 16)  # arrows of traction, in theta and phi at most
+_ARROWS = (9, 16)  # arrows of traction, from pole to pole and around the equator
 
 
 def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
@@ -59,9 +59,14 @@ def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
     a, b = _coordinates(plane)
     velocity = plane["velocity"][step] - _state(result, step, "velocity")
     shape = tuple(plane["shape"])
-    along = [(velocity @ plane[name]).reshape(shape).T for name in ("first", "second")]
-    speed = np.linalg.norm(velocity, axis=-1).reshape(shape).T
-    figure, axes = _plane_axes(a, b)
+    axes_of_plane = _directions(result, plane, step)
+    along = [(velocity @ direction).reshape(shape).T for direction in axes_of_plane]
+    # Inside the body its own motion, so that colours reach the outline; the body covers it.
+    arms = plane["points"][step] - _state(result, step, "position")
+    rigid = np.cross(_state(result, step, "angular_velocity"), arms)
+    filled = np.where(np.isnan(velocity), rigid, velocity)
+    speed = np.linalg.norm(filled, axis=-1).reshape(shape).T
+    figure, axes = _plane_axes(plane)
     mesh = axes.pcolormesh(a, b, speed, shading="gouraud", cmap=SEQUENTIAL, rasterized=True)
     u, v = (np.ma.masked_invalid(part) for part in along)
     if np.ma.maximum(np.abs(u).max(), np.abs(v).max()) > 0.0:
@@ -69,6 +74,8 @@ def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
             a, b, u, v, color="white", linewidth=0.5, density=1.3, arrowsize=0.6
         )
         lines.lines.set_capstyle("round")
+        axes.set_xlim(a[0], a[-1])
+        axes.set_ylim(b[0], b[-1])
     _body_section(axes, result, plane, a, b, step)
     _bar(figure, axes, mesh, label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"))
     return figure
@@ -93,9 +100,12 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     corners.append((slice(0, -1), after))
     depth = sum(normals[corner] @ view for corner in corners)
     value = sum(size[corner] for corner in corners) / 4.0
+    names = ["along the axis", "across it"]
+    if "plane" in field:
+        names = [_name(field["plane"], name) for name in ("first", "second")]
     figure = new_figure(PAGE, 0.46 * PAGE)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    reach = 1.08 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
+    reach = 1.3 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
     longest = float(size.max()) or 1.0
     for axes, side, name in zip(panels, (1.0, -1.0), ("front", "back"), strict=True):
         # Seen from behind, the first coordinate runs the other way.
@@ -108,11 +118,9 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
         mesh.set_clim(0.0, longest)
         mesh.set_rasterized(True)
         axes.add_collection(mesh)
-        rows = slice(max(1, n_theta // 18), None, max(1, n_theta // _ARROWS[0]))
-        columns = slice(0, None, max(1, n_phi // _ARROWS[1]))
-        facing = side * (normals[rows, columns] @ view) > 0.15
-        start = flat[rows, columns][facing]
-        arrow = traction[rows, columns][facing]
+        chosen = _spread(n_theta, n_phi)
+        chosen &= side * (normals @ view) > 0.1
+        start, arrow = flat[chosen], traction[chosen]
         axes.quiver(
             *start.T,
             side * (arrow @ first),
@@ -122,19 +130,29 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
             linewidth=0.3,
             angles="xy",
             scale_units="xy",
-            scale=4.0 * longest / reach,
-            width=0.008,
+            scale=5.0 * longest / reach,
+            width=0.007,
         )
         axes.set_aspect("equal")
         axes.set_xlim(-reach, reach)
         axes.set_ylim(-reach, reach)
         axes.set_title(name, loc="left", pad=4)
-        axes.set_xlabel(label("first coordinate" if side > 0 else "minus first coordinate", "c"))
-    panels[0].set_ylabel(label("second coordinate", "c"))
+        across = names[0] if side > 0 else f"minus {names[0]}"
+        axes.set_xlabel(label(across, "c"))
+    panels[0].set_ylabel(label(names[1], "c"))
     letter_panels(list(panels))
     colours = figure.colorbar(mesh, ax=list(panels), fraction=0.05, pad=0.02)
     colours.set_label(label(r"traction $|\mathbf{\sigma}\mathbf{n}|$", "mu/tau"))
     return figure
+
+
+def _spread(n_theta: int, n_phi: int) -> NDArray[np.bool_]:
+    """Nodes of a surface grid (n_theta, n_phi) that are about evenly spread."""
+    chosen = np.zeros((n_theta, n_phi), dtype=bool)
+    for row in np.unique(np.linspace(0, n_theta - 1, _ARROWS[0] + 2).round().astype(int))[1:-1]:
+        around = max(3, round(_ARROWS[1] * float(np.sin(np.pi * row / (n_theta - 1)))))
+        chosen[row, np.unique((np.arange(around) * n_phi) // around)] = True
+    return chosen
 
 
 def error_figure(result: ResultLike) -> Figure:
@@ -144,7 +162,7 @@ def error_figure(result: ResultLike) -> Figure:
     field = result.groups["field"]
     plane, error = field["plane"], field["error"]
     a, b = _coordinates(plane)
-    figure, axes = _plane_axes(a, b)
+    figure, axes = _plane_axes(plane)
     size = np.maximum(error["error"], _LEAST_ERROR)
     i, j = np.unravel_index(error["index"], tuple(plane["shape"]))
     first, second = np.unique(i), np.unique(j)
@@ -165,21 +183,35 @@ def _coordinates(plane: Mapping[str, Any]) -> tuple[Array, Array]:
     return plane["first_coordinate"], plane["second_coordinate"]
 
 
-def _plane_axes(a: Array, b: Array) -> tuple[Figure, Axes]:
+def _plane_axes(plane: Mapping[str, Any]) -> tuple[Figure, Axes]:
     """Figure and axes of the plane's shape, with room for the colour bar."""
+    a, b = _coordinates(plane)
     shape = (b[-1] - b[0]) / (a[-1] - a[0])
     width = COLUMN if shape > 1.5 else 1.35 * COLUMN
-    figure = new_figure(width, min(max(0.8 * width * shape + 0.5, 1.6), 8.0))
+    figure = new_figure(width, min(max(0.74 * width * shape + 0.45, 1.6), 8.0))
     axes = figure.subplots()
     axes.set_aspect("equal")
-    axes.set_xlabel(label("first coordinate", "c"))
-    axes.set_ylabel(label("second coordinate", "c"))
-    axes.tick_params(color=BLACK)
+    axes.set_xlabel(label(_name(plane, "first"), "c"))
+    axes.set_ylabel(label(_name(plane, "second"), "c"))
     return figure, axes
 
 
+def _name(plane: Mapping[str, Any], which: str) -> str:
+    """How a coordinate of the plane is called: by the axis it runs along, where it does."""
+    direction = plane[which]
+    for index in range(3):
+        if abs(direction[index] - 1.0) < 1e-12:
+            frame = plane["frame"]
+            if frame == "body":
+                return rf"$\tilde{{x}}_{index + 1}$"
+            place = f" - X_{index + 1}" if frame == "centre" else ""
+            return f"$x_{index + 1}{place}$"
+    return f"{which} coordinate"
+
+
 def _bar(figure: Figure, axes: Axes, mesh: Any, text: str) -> None:
-    figure.colorbar(mesh, ax=axes, fraction=0.046, pad=0.03).set_label(text)
+    """A colour bar as high as the axes."""
+    figure.colorbar(mesh, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0))).set_label(text)
 
 
 def _state(result: ResultLike, step: int, name: str) -> Array:
@@ -193,16 +225,20 @@ def _state(result: ResultLike, step: int, name: str) -> Array:
 def _view(result: ResultLike, field: Mapping[str, Any], step: int) -> tuple[Array, Array]:
     """Directions across and up the picture of the body: those of the plane, if there is one."""
     if "plane" in field:
-        plane = field["plane"]
-        first, second = plane["first"], plane["second"]
-        if plane["frame"] == "body":
-            turn = rotation.matrix(_state(result, step, "orientation"))
-            first, second = turn @ first, turn @ second
-        return first, second
+        return _directions(result, field["plane"], step)
     axis = _state(result, step, "axis")
     across = np.eye(3)[int(np.abs(axis).argmin())]
     second = np.cross(axis, across)
     return axis, second / np.linalg.norm(second)
+
+
+def _directions(result: ResultLike, plane: Mapping[str, Any], step: int) -> tuple[Array, Array]:
+    """Directions of the plane's coordinates in space."""
+    first, second = plane["first"], plane["second"]
+    if plane["frame"] == "body":
+        turn = rotation.matrix(_state(result, step, "orientation"))
+        return turn @ first, turn @ second
+    return first, second
 
 
 def _body_section(
