@@ -124,7 +124,7 @@ def turn_averages(
             speed = (place - start_place) / span[:, None]
             early_speed = (place2 - start_place) / half[:, None]
             late_speed = (place - place2) / (span - half)[:, None]
-            constants = [_orbit(d, aspect_ratio, frame) for d in (axis[0], ending)]
+            constants = [orbit_in_frame(d, aspect_ratio, frame) for d in (axis[0], ending)]
             drift = np.log(constants[1] / constants[0]) / span
     else:
         period = change = drift = span = nothing
@@ -139,13 +139,13 @@ def turn_averages(
     result["mean_velocity"] = np.where(some[:, None], speed, (x[-1] - x[0]) / whole)
     halves = (some & (middle_count >= 1))[:, None]
     result["velocity_change"] = np.where(halves, late_speed - early_speed, np.nan)
-    result["orbit_constant_start"] = _orbit(samples["axis"][0], aspect_ratio, frame)
-    result["orbit_constant_end"] = _orbit(axis[-1], aspect_ratio, frame)
+    result["orbit_constant_start"] = orbit_in_frame(samples["axis"][0], aspect_ratio, frame)
+    result["orbit_constant_end"] = orbit_in_frame(axis[-1], aspect_ratio, frame)
     result["orbit_drift"] = np.where(some & np.isfinite(drift), drift, np.nan)
     return result
 
 
-def _orbit(axis: Array, k: float, frame: ShearFrame) -> Array:
+def orbit_in_frame(axis: Array, k: float, frame: ShearFrame) -> Array:
     """Orbit constant sqrt(d_b^2 + k^2 d_a^2)/(k |d_n|), infinite when tumbling."""
     d = axis @ frame.axes.T
     with np.errstate(divide="ignore", invalid="ignore"):

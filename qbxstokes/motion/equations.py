@@ -166,6 +166,36 @@ class RigidBodyEquations:
         if loads is not None:
             self._fill_loads(0.0)
 
+    def repeated(self, count: int) -> RigidBodyEquations:
+        """The equations of `count` times the same bodies: many instants as many bodies.
+
+        Only where nothing depends on time (`steady`).
+        """
+
+        def tiled(vectors: Any) -> Any:
+            if vectors is None or callable(vectors) or np.ndim(vectors) < 2:
+                return vectors
+            return np.tile(vectors, (count, 1))
+
+        loads, bound = self._loads, self.constraints
+        return RigidBodyEquations(
+            self.model,
+            self._polynomial if self._polynomial is not None else self._provider,  # type: ignore[arg-type]
+            np.tile(self.stokes_number, count),
+            self.n_bodies * count,
+            None if loads is None else Loads(*(tiled(field) for field in vars(loads).values())),
+            Constraints(tiled(bound.velocity), tiled(bound.angular_velocity)),
+            self.evaluation,
+        )
+
+    @property
+    def steady(self) -> bool:
+        """Whether loads and constraints are constant in time (the flow may still change)."""
+        bound = self.constraints
+        return self._steady_loads and not (
+            callable(bound.velocity) or callable(bound.angular_velocity)
+        )
+
     # -- the right-hand side ----------------------------------------------------------------
 
     @property
