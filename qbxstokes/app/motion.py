@@ -91,7 +91,6 @@ def run_motion(
             "rhs_evaluations": trajectory.evaluations,
             "jacobians": trajectory.jacobians,
             "local_tolerance": trajectory.local_tolerance,
-            "reason": trajectory.reason,
             "quaternion_norm_drift": trajectory.norm_drift,
         },
         "errors": comparison.errors,
