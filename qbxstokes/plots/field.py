@@ -137,7 +137,9 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
         axes.set_xlim(-reach, reach)
         axes.set_ylim(-reach, reach)
         axes.set_title(name, loc="left", pad=4)
-        across = names[0] if side > 0 else f"minus {names[0]}"
+        across = names[0]
+        if side < 0:
+            across = f"$-({across[1:-1]})$" if across.startswith("$") else f"minus {across}"
         axes.set_xlabel(label(across, "c"))
     panels[0].set_ylabel(label(names[1], "c"))
     letter_panels(list(panels))
