@@ -141,7 +141,7 @@ def _draw_path(axes: Axes, camera: Camera, path: Array) -> None:
     for piece in back:
         axes.plot(
             *camera.project(piece).T,
-            color="#9cc3dc",
+            color=style.PALE_BLUE,
             linewidth=0.8,
             zorder=2,
             gid="behind",

@@ -33,6 +33,7 @@ BLACK = "#000000"
 GREY = "#8c8c8c"
 PALE = "#d9d9d9"
 BLUE = "#0072b2"
+PALE_BLUE = "#9cc3dc"  # what lies behind
 VERMILION = "#d55e00"
 SKY = "#56b4e9"
 GREEN = "#009e73"
@@ -151,7 +152,7 @@ def units_text(units: str) -> str:
 def label(text: str, units: str = "") -> str:
     """An axis label: the quantity, and its units in parentheses where it has some."""
     shown = units_text(units)
-    return f"{text} ({shown})" if shown else text
+    return f"{text} ({shown})" if text and shown else text or shown
 
 
 def set_ylabel(axes: Axes, text: str, unit: str = "") -> None:

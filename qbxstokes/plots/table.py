@@ -217,7 +217,9 @@ def draw_map(
 
     All panels of one table share their colours. Cells without a value are hatched.
     """
+    from matplotlib.collections import LineCollection
     from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.patheffects import withStroke
     from matplotlib.ticker import LogLocator, MaxNLocator
 
     if rows is None:
@@ -249,6 +251,9 @@ def draw_map(
                 x, y, np.ma.masked_invalid(grid), levels, colors="white", linewidths=0.7
             )
             axes.clabel(lines, fontsize=6.5, fmt=_power if logarithmic else "%g")
+            outline = [withStroke(linewidth=1.6, foreground="#00000070")]
+            for artist in axes.findobj(LineCollection) + axes.texts:
+                artist.set_path_effects(outline)
     mark = spec.get("mark")
     if mark and np.isfinite(grid).any():
         flat = np.nanargmin(grid) if mark == "minimum" else np.nanargmax(grid)
@@ -470,6 +475,8 @@ def _draw_slopes(axes: Axes, slopes: Sequence[float]) -> None:
             fontsize=7,
             color=style.GREY,
             va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+            zorder=0.5,
         )
     axes.set_xlim(np.exp(low), np.exp(high))
     axes.set_ylim(np.exp(bottom), np.exp(top))

@@ -1,0 +1,376 @@
+"""Animations: the body as a shaded surface, its axis with a trail, and the way of its centre.
+
+The camera moves with the centre. The path behind the body is drawn true to scale around it, and,
+where the centre goes anywhere, once more whole in a panel beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import CaseError
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.plots import style
+from qbxstokes.plots.between import axis_path, between
+from qbxstokes.plots.camera import Camera, split_at_silhouette
+from qbxstokes.plots.path import draw_path, plane_of_motion
+from qbxstokes.plots.series import moves
+from qbxstokes.plots.source import ResultLike, aspect_ratio, instants, samples
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FORMATS = ("gif", "mp4")
+FRAMES_PER_TURN = 48
+_FRAMES = (60, 360)  # least and most frames where their number is not given
+_DPI = 120
+_SIDE = 4.2  # inches of the scene
+_VIEW = Camera(-62.0, 28.0)
+_LIGHT = np.array([-0.45, 0.65, 0.61])  # right, up, towards the viewer
+_SECTORS = 4  # of longitude, in two shades, so that the turning about the axis is seen
+_SHADES = ("#3f8fc0", "#d8e6ef")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A trajectory at the instants of the frames.
+
+    times (F,), position (F, 3), orientation (F, 4), and all the path of the axis: its times (n,)
+    and points (n, 3).
+    """
+
+    times: Array
+    position: Array
+    orientation: Array
+    axis_times: Array
+    axis: Array
+
+    @classmethod
+    def of(
+        cls,
+        result: ResultLike,
+        frames: int | None = None,
+        window: tuple[float, float] | None = None,
+    ) -> Motion:
+        """The motion at `frames` even instants of the window of time, the whole by default.
+
+        Without a number of frames there are `FRAMES_PER_TURN` for each turn of the axis, within
+        limits. Raises CaseError where the file holds no orientation, or nothing in the window.
+        """
+        if "orientation" not in result.arrays:
+            raise CaseError(f"{result.path}: holds no orientation to animate")
+        times = instants(result)
+        q = rotation.normalize(samples(result, "orientation", 4))
+        # q and -q are one orientation; follow the nearer one.
+        flips = np.sign(np.einsum("ij,ij->i", q[1:], q[:-1]))
+        q[1:] *= np.cumprod(np.where(flips == 0.0, 1.0, flips))[:, None]
+        spin = _held(result, "angular_velocity")
+        path_times, path = axis_path(times, rotation.axis(q), spin)
+        low, high = window or (times[0], times[-1])
+        low, high = max(low, times[0]), min(high, times[-1])
+        if not low <= high:
+            raise CaseError(
+                f"{result.path}: has samples from {times[0]:g} to {times[-1]:g}, none in the window"
+            )
+        if frames is None:
+            inside = (path_times >= low) & (path_times <= high)
+            steps = np.linalg.norm(np.diff(path[inside], axis=0), axis=1)
+            turns = float(np.sum(steps)) / (2.0 * np.pi)
+            frames = int(np.clip(np.ceil(FRAMES_PER_TURN * turns), *_FRAMES))
+        at = np.linspace(low, high, frames)
+        rates = None
+        if spin is not None:
+            rates = 0.5 * rotation.multiply(np.insert(spin, 0, 0.0, axis=1), q)
+        if "position" in result.arrays:
+            centre = samples(result, "position", 3)
+            position = between(times, centre, _held(result, "velocity"), at)
+        else:
+            position = np.zeros((frames, 3))
+        turned = rotation.normalize(between(times, q, rates, at))
+        return cls(at, position, turned, path_times, path)
+
+
+def _held(result: ResultLike, name: str) -> Array | None:
+    return samples(result, name, 3) if name in result.arrays else None
+
+
+def _lit(shade: NDArray[np.intp], light: Array) -> Array:
+    """Colours (n, 3) of surface in the shades (n,) where light (n,) in [0, 1] falls on it."""
+    from matplotlib.colors import to_rgb
+
+    base = np.array([to_rgb(color) for color in _SHADES])[shade]
+    colors: Array = base * (0.5 + 0.5 * light[:, None]) + 0.25 * light[:, None] ** 12
+    return np.clip(colors, 0.0, 0.96)
+
+
+def _palette() -> list[int]:
+    """The 256 colours of a GIF: the surface in all lights, and lines fading into white."""
+    from matplotlib.colors import to_rgb
+
+    light = np.linspace(0.0, 1.0, 80)
+    surface = [_lit(np.full(len(light), shade), light) for shade in range(len(_SHADES))]
+    lines = (style.BLACK, style.GREY, style.BLUE, style.PALE_BLUE, style.VERMILION)
+    fade = np.linspace(0.0, 1.0, 16)[:, None]
+    faded = [fade + (1.0 - fade) * np.array(to_rgb(color)) for color in lines]
+    colors = np.concatenate([*surface, *faded])
+    return np.rint(255.0 * colors).astype(int).ravel().tolist()
+
+
+class Scene:
+    """The body seen from the moving camera; `show` puts it at a frame."""
+
+    def __init__(self, axes: Axes, motion: Motion, aspect_ratio: float, camera: Camera) -> None:
+        """Draw everything once, at the first frame."""
+        from matplotlib.collections import PolyCollection
+
+        self._axes, self._motion, self._camera = axes, motion, camera
+        self._size = max(1.0, aspect_ratio)
+        self._spheroid = Spheroid(aspect_ratio)
+        self._reach = 1.35 * self._size
+        limit = 1.12 * self._reach
+        axes.set_xlim(-limit, limit)
+        axes.set_ylim(-limit, limit)
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        body = PolyCollection([], zorder=3, linewidths=0.7, closed=True)
+        self._body = axes.add_collection(body, autolim=False)
+        self._way = axes.plot([], [], color=style.GREY, lw=0.9, zorder=0.8)[0]
+        self._trails = [
+            axes.plot([], [], color=color, lw=width, zorder=zorder, solid_capstyle="butt")[0]
+            for color, width, zorder in (
+                ("#c9c9c9", 0.7, 1.0),  # behind, older
+                (style.PALE_BLUE, 1.1, 1.1),  # behind, latest turn
+                ("#c9c9c9", 0.7, 4.0),
+                (style.BLUE, 1.6, 4.1),
+            )
+        ]
+        self._pins = [axes.plot([], [], color=style.BLACK, lw=1.6)[0] for _ in range(2)]
+        self._tip = axes.plot([], [], "o", ms=4, color=style.VERMILION)[0]
+        self._clock = axes.text(
+            0.02, 0.98, "", transform=axes.transAxes, ha="left", va="top", zorder=6
+        )
+        self._draw_triad()
+        self.show(0)
+
+    @cached_property
+    def _mesh(self) -> tuple[Array, Array, Array]:
+        """Corners (n, 4, 3), normals (n, 3) and shade (n,) of the facets, in the body frame."""
+        theta = np.linspace(0.0, np.pi, 31)
+        phi = np.linspace(0.0, 2.0 * np.pi, 61)
+        corners = self._spheroid.surface(theta[:, None], phi[None, :])
+        facets = np.stack(
+            [corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=2
+        ).reshape(-1, 4, 3)
+        middle = 0.5 * (theta[1:] + theta[:-1]), 0.5 * (phi[1:] + phi[:-1])
+        normals = self._spheroid.normal(middle[0][:, None], middle[1][None, :]).reshape(-1, 3)
+        sector = np.floor(middle[1] / (2.0 * np.pi) * _SECTORS).astype(int) % 2
+        return facets, normals, np.tile(sector, len(middle[0])).astype(float)
+
+    def show(self, frame: int) -> None:
+        """The scene at a frame."""
+        motion, camera = self._motion, self._camera
+        now, turn = motion.times[frame], rotation.matrix(motion.orientation[frame])
+        self._show_body(turn)
+        axis = turn[:, 2]
+        ahead = camera.depth(axis) >= 0.0
+        for pin, sign in zip(self._pins, (1.0, -1.0), strict=True):
+            pin.set_data(*camera.project(np.outer([sign, sign * self._reach], axis)).T)
+            pin.set_zorder(3.5 if ahead == (sign > 0.0) else 2.0)
+        self._tip.set_data(*camera.project(self._reach * axis[None]).T)
+        self._tip.set_zorder(4.5 if ahead else 2.1)
+        self._show_trail(now, axis)
+        past = motion.position[: frame + 1] - motion.position[frame]
+        near = np.flatnonzero(np.linalg.norm(past, axis=1) > 4.0 * self._reach)
+        self._way.set_data(*camera.project(past[near[-1] if near.size else 0 :]).T)
+        self._clock.set_text(rf"$t = {now:.2f}\,\tau$")
+
+    def _show_body(self, turn: Array) -> None:
+        facets, normals, shade = self._mesh
+        seen = normals @ turn.T @ self._camera.frame.T
+        front = seen[:, 2] > -0.05
+        light = np.clip(seen[front] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+        colors = _lit(shade[front].astype(int), light)
+        # From the back to the front, so that facets at the rim do not cover nearer ones.
+        order = np.argsort(seen[front, 2], kind="stable")
+        self._body.set_verts(list(self._camera.project(facets[front][order] @ turn.T)))
+        self._body.set_facecolor(colors[order])
+        self._body.set_edgecolor(colors[order])
+
+    def _show_trail(self, now: float, axis: Array) -> None:
+        """The path of the tip so far; the last turn stronger than what was before."""
+        motion = self._motion
+        shown = (motion.axis_times >= motion.times[0]) & (motion.axis_times < now)
+        path = np.concatenate([motion.axis[shown], axis[None]])
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        back = np.cumsum(steps[::-1])[::-1]
+        latest = int(np.searchsorted(-back, -2.0 * np.pi))
+        pieces = (path[: latest + 1], path[latest:])
+        for index, piece in enumerate(pieces):
+            front, behind = split_at_silhouette(
+                self._reach * piece, self._camera.depth(self._reach * piece)
+            )
+            self._trails[index].set_data(*self._joined(behind))
+            self._trails[2 + index].set_data(*self._joined(front))
+
+    def _joined(self, pieces: list[Array]) -> Array:
+        """Projected pieces as one line with gaps (2, n)."""
+        gap = np.full((1, 2), np.nan)
+        parts = [part for piece in pieces for part in (self._camera.project(piece), gap)]
+        return np.concatenate(parts).T if parts else np.empty((2, 0))
+
+    def _draw_triad(self) -> None:
+        """The directions of space in the lower left corner."""
+        low = self._axes.get_xlim()[0]
+        origin = np.array([0.78 * low, 0.80 * low])
+        for index, direction in enumerate(np.eye(3)):
+            tip = 0.16 * abs(low) * self._camera.project(direction)
+            self._axes.annotate(
+                "",
+                xy=origin + tip,
+                xytext=origin,
+                arrowprops={"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
+                zorder=0.5,
+            )
+            self._axes.text(
+                *(origin + 1.35 * tip), f"$x_{index + 1}$", ha="center", va="center", fontsize=8
+            )
+
+
+@dataclass(frozen=True)
+class Film:
+    """An animation: a figure, and a function that brings it to a frame."""
+
+    figure: Figure
+    show: Callable[[int], None]
+    frames: int
+    fps: int
+
+    def live(self) -> FuncAnimation:
+        """The animation as matplotlib's, for a notebook (`to_jshtml`) or a window."""
+        from matplotlib.animation import FuncAnimation
+
+        with style.styled():
+            return FuncAnimation(
+                self.figure, self.show, frames=self.frames, interval=1000 / self.fps, blit=False
+            )
+
+    def save(self, path: Path) -> Path:
+        """Write a GIF (by Pillow) or an MP4 (by ffmpeg); raises CaseError where it cannot."""
+        kind = path.suffix[1:]
+        if kind not in FORMATS:
+            raise CaseError(f"{path}: animations are written as {', '.join(FORMATS)}")
+        with style.whole_file(path) as temporary, style.styled():
+            (self._save_gif if kind == "gif" else self._save_mp4)(temporary)
+        return path
+
+    def _save_gif(self, path: Path) -> None:
+        """One palette for all frames: files stay small and colours do not flicker."""
+        from PIL import Image
+
+        palette = Image.new("P", (1, 1))
+        palette.putpalette(_palette())
+        pictures = []
+        for frame in range(self.frames):
+            self.show(frame)
+            pictures.append(self._picture().quantize(palette=palette, dither=Image.Dither.NONE))
+        pictures[0].save(
+            path,
+            format="GIF",
+            save_all=True,
+            append_images=pictures[1:],
+            duration=max(20, round(1000 / self.fps)),
+            loop=0,
+        )
+
+    def _picture(self) -> Any:
+        from PIL import Image
+
+        canvas: Any = self.figure.canvas
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+    def _save_mp4(self, path: Path) -> None:
+        from matplotlib.animation import FFMpegWriter
+
+        if not FFMpegWriter.isAvailable():
+            raise CaseError(
+                f"{path.suffix[1:]}: needs the program ffmpeg; install it or take --format gif"
+            )
+        writer = FFMpegWriter(fps=self.fps)
+        with writer.saving(self.figure, str(path), _DPI):
+            for frame in range(self.frames):
+                self.show(frame)
+                writer.grab_frame()
+
+
+def animate(
+    result: ResultLike,
+    frames: int | None = None,
+    fps: int = 25,
+    window: tuple[float, float] | None = None,
+    camera: Camera = _VIEW,
+) -> Film:
+    """The animation of a motion over a window of time, the whole by default.
+
+    Raises CaseError and ResultFileError where the file does not hold what is needed.
+    """
+    motion = Motion.of(result, frames, window)
+    k = aspect_ratio(result)
+    beside = moves(result)
+    width = 2.0 * _SIDE if beside else _SIDE
+    with style.styled():
+        figure = _blank(width)
+        scene = Scene(figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, k, camera)
+        place = _place_beside(figure, result, motion) if beside else None
+
+    def show(frame: int) -> None:
+        scene.show(frame)
+        if place is not None:
+            place(frame)
+
+    return Film(figure, show, len(motion.times), fps)
+
+
+def _blank(width: float) -> Figure:
+    figure = style.new_figure(width, _SIDE)
+    figure.set_dpi(_DPI)
+    figure.set_layout_engine("none")
+    return figure
+
+
+def _place_beside(figure: Figure, result: ResultLike, motion: Motion) -> Callable[[int], None]:
+    """The path of the centre beside the scene; returns what moves the dot on it.
+
+    The panel does not change, so it is drawn once and put in as a picture.
+    """
+    box = (0.585, 0.13, 0.39, 0.78)
+    still = _blank(figure.get_figwidth())
+    panel = still.add_axes(box)
+    draw_path(panel, result)
+    canvas: Any = still.canvas
+    canvas.draw()
+    figure.figimage(np.asarray(canvas.buffer_rgba()), zorder=-1)
+    axes = figure.add_axes(panel.get_position().bounds)
+    axes.set_xlim(panel.get_xlim())
+    axes.set_ylim(panel.get_ylim())
+    axes.set_axis_off()
+    (dot,) = axes.plot([], [], "o", color=style.VERMILION, ms=6, mec="white")
+    along, across = plane_of_motion(samples(result, "position", 3))
+
+    def place(frame: int) -> None:
+        here = motion.position[frame]
+        dot.set_data([here[along]], [here[across]])
+
+    return place
