@@ -1,0 +1,314 @@
+"""A heavy spheroid in simple shear, and in a profile of weak curvature, by equations of its axis.
+
+Nothing is integrated step by step here: small Stokes numbers by averages over Jeffery orbits, any
+Stokes number by periodic solutions of the axis in the plane of shear, in which the angle itself is
+the independent variable. The flow is u = (x2 + K x2^2, 0, 0), rate 1 at the centre.
+
+With d = D3, g(d) = W d + lambda (E d - d d.E d) Jeffery's rate of the axis, s = Omega.d, b = R/J,
+
+    P d'' = (b/St) (g(d) - d') - (J3/J1) s d' x d,   s' = (b3/St) (w.d/2 - s)        (P = I - d d)
+
+which is the balance of angular momentum of an axisymmetric body under Jeffery's torque (Jeffery
+1922). To first order in St the axis obeys d' = g - (St/R) (J1 P g' + J3 s g x d), the expansion of
+Einarsson, Angilella & Mehlig 2014 (Physica D 278, 79) for particle inertia.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.reference import jeffery, lamb
+from qbxstokes.reference.inertial import inertia, volume
+
+Array = NDArray[np.float64]
+Inertia = Literal["both", "translation", "rotation"]
+
+_NODES = 512  # of the average over an orbit; its integrand is analytic in the phase
+
+
+def shape(k: float) -> float:
+    """lambda = (1 - k^2)/(1 + k^2)."""
+    return (1.0 - k * k) / (1.0 + k * k)
+
+
+def relaxation_rates(k: float) -> tuple[float, float, float, float]:
+    """R/inertia: translation transverse and axial, rotation transverse and axial; over St, rates."""
+    transverse, axial = lamb.translation_resistance(k)
+    turning, spinning = jeffery.rotation_resistance(k)
+    moments = inertia(k)
+    return (
+        transverse / volume(k),
+        axial / volume(k),
+        turning / float(moments[0]),
+        spinning / float(moments[2]),
+    )
+
+
+def jeffery_orbit(k: float, constant: float, nodes: int = _NODES) -> tuple[Array, Array]:
+    """Axis (nodes, 3) and its rate on an orbit at equal steps of time; constant may be infinite."""
+    phase = 2.0 * np.pi * np.arange(nodes) / nodes
+    start = np.array([1.0, 0.0, 0.0]) if np.isinf(constant) else np.array([constant, 0.0, 1.0])
+    times = jeffery.period(k) * phase / (2.0 * np.pi)
+    d = jeffery.axis_at(times, k, start / np.linalg.norm(start))
+    return d, jeffery_rate(k, d)
+
+
+def jeffery_rate(k: float, d: Array) -> Array:
+    """g(d), (..., 3): rate of the axis of a free massless body in the shear of rate 1."""
+    lam = shape(k)
+    pull = lam * d[..., 0] * d[..., 1]
+    return np.stack(
+        [
+            0.5 * (1.0 + lam) * d[..., 1] - pull * d[..., 0],
+            -0.5 * (1.0 - lam) * d[..., 0] - pull * d[..., 1],
+            -pull * d[..., 2],
+        ],
+        axis=-1,
+    )
+
+
+def orbit_drift_coefficient(k: float, constant: float) -> float:
+    """b in d(ln C)/dt = St b + O(St^2), averaged over the Jeffery orbit of constant C.
+
+    The correction of d' is projected on grad ln C, ln C = ln(d2^2 + k^2 d1^2)/2 - ln |d3| - ln k;
+    for C infinite the rate of ln |d3| is that of a small d3.
+    """
+    d, g = jeffery_orbit(k, constant)
+    moments, (turning, _) = inertia(k), jeffery.rotation_resistance(k)
+    second = _along(k, d, g)
+    second = second - d * np.sum(d * second, axis=-1, keepdims=True)
+    spin = -0.5 * d[:, 2:]
+    change = -(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning
+    plane = d[:, 1] ** 2 + k * k * d[:, 0] ** 2
+    moved = (d[:, 1] * change[:, 1] + k * k * d[:, 0] * change[:, 0]) / plane
+    if np.isinf(constant):
+        # (P g')_3 = d3 (|g|^2 + pull^2 - pull') and s (g x d)_3 = d3 turn/2 for d3 -> 0.
+        pull = shape(k) * d[:, 0] * d[:, 1]
+        steepening = shape(k) * (g[:, 0] * d[:, 1] + d[:, 0] * g[:, 1])
+        turn = d[:, 0] * g[:, 1] - d[:, 1] * g[:, 0]
+        third = turn**2 + pull**2 - steepening
+        sinking = (moments[0] * third + 0.5 * moments[2] * turn) / turning
+        return float(np.mean(moved + sinking))
+    return float(np.mean(moved - change[:, 2] / d[:, 2]))
+
+
+def _along(k: float, d: Array, g: Array) -> Array:
+    """Second derivative of the axis along a Jeffery orbit, exact by a complex step."""
+    step = 1e-30
+    return np.asarray(jeffery_rate(k, d + 1j * step * g).imag / step)
+
+
+def rolling_drift_coefficient(k: float) -> float:
+    """b near log-rolling, C -> 0: J3 lambda/(4 R), positive for prolate bodies.
+
+    The trace of the linear system for (d1, d2) about d = e3: (J1 (1 - lambda^2) - J3)/(4 R), and
+    J1 (1 - lambda^2) = J3 (1 + lambda) for a spheroid.
+    """
+    turning, _ = jeffery.rotation_resistance(k)
+    return float(inertia(k)[2]) * shape(k) / (4.0 * turning)
+
+
+def rolling_exponent(k: float, stokes_number: float) -> float:
+    """Largest growth rate of a small tilt from log-rolling, for any St: an eigenvalue."""
+    lam, rate = shape(k), relaxation_rates(k)[2] / stokes_number
+    ratio = float(inertia(k)[2] / inertia(k)[0])
+    # d1'' = b ((1+lambda)/2 d2 - d1') + (J3/J1) d2'/2 and its partner; s = -1/2.
+    system = np.array(
+        [
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.5 * (1.0 + lam) * rate, -rate, 0.5 * ratio],
+            [-0.5 * (1.0 - lam) * rate, 0.0, -0.5 * ratio, -rate],
+        ]
+    )
+    # |d'|^2 d is of second order; P d'' = d'' here.
+    return float(np.linalg.eigvals(system).real.max())
+
+
+@dataclass(frozen=True)
+class Tumbling:
+    """Periodic tumbling in the plane: p(angle) = -d(angle)/dt at nodes on [0, pi), d = (cos, sin).
+
+    rate: mean rate of the axis, positive; half_turn: time of half a turn.
+    """
+
+    aspect_ratio: float
+    stokes_number: float
+    angle: Array
+    speed: Array
+
+    @property
+    def half_turn(self) -> float:
+        """Time of half a turn."""
+        return float(np.pi * np.mean(1.0 / self.speed))
+
+    @property
+    def rate(self) -> float:
+        """Mean rate of rotation, between k/(1+k^2) and 1/2."""
+        return float(np.pi) / self.half_turn
+
+    def mean(self, values: Array) -> float:
+        """Average over time of values at the nodes."""
+        return float(np.mean(values / self.speed) / np.mean(1.0 / self.speed))
+
+
+@lru_cache(maxsize=256)
+def tumbling(k: float, stokes_number: float) -> Tumbling:
+    """The periodic solution of p dp/da = (b/St)(p + g), g = -1/2 + (lambda/2) cos 2a.
+
+    Fourier collocation and Newton's method from Jeffery's p = -g, St raised step by step.
+    stokes_number = 0 is Jeffery's orbit.
+    """
+    lam = shape(k)
+    n = _nodes(k)
+    angle = np.pi * np.arange(n) / n
+    free = 0.5 - 0.5 * lam * np.cos(2.0 * angle)
+    if stokes_number == 0.0:
+        return Tumbling(k, 0.0, angle, free)
+    derivative = _derivative(n)
+    lag = stokes_number / relaxation_rates(k)[2]
+    speed, reached = free, 0.0
+    step = min(lag, 0.1 * k if k < 1.0 else 0.1 / k)
+    while reached < lag:
+        trial = min(lag, reached + step)
+        found = _newton(speed, free, derivative, trial)
+        if found is None:
+            step *= 0.5
+            continue
+        speed, reached = found, trial
+        step = max(2.0 * step, reached)
+    return Tumbling(k, stokes_number, angle, speed)
+
+
+def _nodes(k: float) -> int:
+    """Odd number of nodes: 1/p has poles at a distance of about min(k, 1/k) from the axis."""
+    thin = min(k, 1.0 / k)
+    return int(np.clip(30.0 / thin, 65, 1501)) | 1
+
+
+@lru_cache(maxsize=8)
+def _derivative(n: int) -> Array:
+    """Differentiation of functions of period pi at n equal nodes, n odd (Trefethen 2000, ch. 3)."""
+    j = np.arange(n)
+    difference = j[:, None] - j
+    with np.errstate(divide="ignore"):
+        matrix = (-1.0) ** difference / np.sin(np.pi * difference / n)
+    matrix[j, j] = 0.0
+    return np.asarray(matrix)
+
+
+def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array | None:
+    p = start.copy()
+    for _ in range(30):
+        slope = derivative @ p
+        residual = lag * p * slope - (p - free)
+        jacobian = lag * (np.diag(slope) + p[:, None] * derivative) - np.eye(p.size)
+        change = np.linalg.solve(jacobian, residual)
+        p = p - change
+        if not np.all(p > 0.0):
+            return None
+        if np.max(np.abs(change)) < 1e-13:
+            return np.asarray(p)
+    return None
+
+
+def mean_rotation_rate(k: float, stokes_number: float) -> float:
+    """Mean rate of tumbling in the plane of shear: k/(1+k^2) for St = 0, 1/2 for St -> infinity."""
+    return tumbling(k, stokes_number).rate
+
+
+def tumbling_exponent(k: float, stokes_number: float) -> float:
+    """Growth rate of a small d3 about tumbling, for any St > 0; -b near C infinite for small St.
+
+    z'' + a'^2 z = -(b/St)(lambda sin a cos a z + z') + (J3/J1) s a',  s' = -(b3/St)(z/2 + s),
+    over half a turn of the periodic solution (Floquet).
+    """
+    from scipy.integrate import solve_ivp
+
+    orbit = tumbling(k, stokes_number)
+    lam, rates = shape(k), relaxation_rates(k)
+    across, along = rates[2] / stokes_number, rates[3] / stokes_number
+    ratio = float(inertia(k)[2] / inertia(k)[0])
+    n = orbit.angle.size
+    waves = np.fft.rfft(orbit.speed) / n
+    harmonics = np.arange(waves.size)
+
+    def speed(a: float) -> float:
+        terms = waves * np.exp(2j * harmonics * a)
+        return float(terms[0].real + 2.0 * np.sum(terms[1:].real))
+
+    def slope(a: float, y: Array) -> Array:
+        p = speed(a)
+        z, rate, spin = y.reshape(3, 3)
+        change = np.stack(
+            [
+                rate,
+                -p * p * z - across * (lam * np.sin(a) * np.cos(a) * z + rate) - ratio * spin * p,
+                -along * (0.5 * z + spin),
+            ]
+        )
+        return np.asarray(-change.ravel() / p)
+
+    solution = solve_ivp(
+        slope, (np.pi, 0.0), np.eye(3).ravel(), method="LSODA", rtol=1e-10, atol=1e-13
+    )
+    multipliers = np.linalg.eigvals(solution.y[:, -1].reshape(3, 3))
+    return float(np.log(np.max(np.abs(multipliers))) / orbit.half_turn)
+
+
+def small_stokes_drift(k: float) -> float:
+    """Drift velocity over K St towards higher shear of a tumbling body, St -> 0.
+
+    To first order V = U - St Theta R^-1 U', so that across the stream
+    V2 = -St Theta (1/R3 - 1/R1) <d1 d2 U'>, with U = K (... + (1-k^2)/3 d2^2) in the plane:
+    V2 = K St Theta (1/R3 - 1/R1) (1 - k^2) k/(12 (1 + k^2)). Positive for every k but 1.
+    """
+    transverse, axial = lamb.translation_resistance(k)
+    mobility = 1.0 / axial - 1.0 / transverse
+    return volume(k) * mobility * (1.0 - k * k) * k / (12.0 * (1.0 + k * k))
+
+
+def small_stokes_drift_on_orbit(k: float, constant: float) -> float:
+    """The same on the Jeffery orbit of constant C, in a paraboloid: U varies as 1 - d1^2."""
+    d, g = jeffery_orbit(k, constant)
+    transverse, axial = lamb.translation_resistance(k)
+    mobility = 1.0 / axial - 1.0 / transverse
+    lag = np.mean(d[:, 0] * d[:, 1] * (-2.0 * d[:, 0] * g[:, 0]))
+    return float(-volume(k) * mobility * (1.0 - k * k) / 3.0 * lag)
+
+
+def drift(k: float, stokes_number: float, parts: Inertia = "both") -> float:
+    """Drift velocity over K towards higher shear of a tumbling body, weak curvature, any St.
+
+    With w = V - u at the centre and the shear of rate 1, w' = -R(d) w/(St Theta) - w2 e1 - U' e1
+    along the periodic orbit, U = (1-k^2)/3 sin^2 a; the drift is the mean of w2 (Fourier
+    collocation). parts: which inertia is kept; with "rotation" alone V = U is along the stream.
+    """
+    if parts == "rotation":
+        return 0.0
+    orbit = tumbling(k, 0.0 if parts == "translation" else stokes_number)
+    a, p, n = orbit.angle, orbit.speed, orbit.angle.size
+    across, along = (rate / stokes_number for rate in relaxation_rates(k)[:2])
+    cosine, sine = np.cos(a), np.sin(a)
+    advance = -p[:, None] * _derivative(n)
+    difference = along - across
+    coupling = difference * cosine * sine
+    matrix = np.block(
+        [
+            [advance + np.diag(across + difference * cosine**2), np.diag(coupling + 1.0)],
+            [np.diag(coupling), advance + np.diag(across + difference * sine**2)],
+        ]
+    )
+    push = -(1.0 - k * k) / 3.0 * 2.0 * sine * cosine * -p
+    w = np.linalg.solve(matrix, np.concatenate([push, np.zeros(n)]))
+    return orbit.mean(w[n:])
+
+
+def slowest_relaxation(k: float, stokes_number: float) -> float:
+    """Time in which the slowest disturbance of translation or rotation decays by e."""
+    return stokes_number / min(relaxation_rates(k))
