@@ -15,6 +15,7 @@ from conftest import ROOT, Run
 import qbxstokes
 from qbxstokes.app.cli import split_arguments
 from qbxstokes.app.plan import make_plan, rotation_period
+from qbxstokes.app.tasks import plan_of
 from qbxstokes.config.load import load_case
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
@@ -97,7 +98,7 @@ def test_schema_is_json_and_table_is_markdown(run_cli: Run) -> None:
 
 @pytest.mark.parametrize("case", sorted((ROOT / "cases").glob("*.yaml")), ids=lambda p: p.name)
 def test_cases_are_valid_and_say_what_they_are(case: Path) -> None:
-    make_plan(load_case(case), overwrite=True)
+    plan_of(load_case(case), overwrite=True)
     text = case.read_text()
     assert text.startswith("# yaml-language-server: $schema=../qbxstokes/config/")
     for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):

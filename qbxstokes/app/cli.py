@@ -27,6 +27,8 @@ commands
   check CASE ...      validate case files and stop
   new [FILE]          write a commented starter case (--task motion)
   info FILE           what a result file holds and how it was made
+  plot FILE ...       pictures of results and tables (plot --help)
+  animate FILE        the tumbling body as GIF or MP4 (animate --help)
   schema              JSON Schema of case files (--table: as Markdown)
   doctor              versions, MPI, PETSc, threads, write access
 
@@ -107,6 +109,10 @@ def run_command(arguments: Sequence[str]) -> int:
     """Carry out a command line; returns the exit status."""
     own, petsc = split_arguments(arguments)
     try:
+        if arguments and arguments[0] in ("plot", "animate"):
+            from qbxstokes.app.pictures import picture_command
+
+            return picture_command(arguments[0], arguments[1:])
         options = _parse(own)
         if options.version:
             print(f"qbxstokes {__version__}")
@@ -153,7 +159,7 @@ def _one(words: Sequence[str], what: str) -> str:
 
 def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Validate case files; every bad one is told, the worst decides the exit status."""
-    from qbxstokes.app.plan import make_plan
+    from qbxstokes.app.tasks import plan_of
     from qbxstokes.config.load import load_case
 
     if not words:
@@ -163,7 +169,7 @@ def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     for word in words:
         try:
             loaded = load_case(word, options.set)
-            make_plan(loaded, options.overwrite)
+            plan_of(loaded, options.overwrite)
         except QbxStokesError as error:
             reports.append({"case": word, "valid": False, "error": str(error)})
             status = max(status, _fail(error))

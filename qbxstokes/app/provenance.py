@@ -32,10 +32,22 @@ def provenance(loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str])
         "petsc_options": json.dumps(PETSc.Options().getAll()),
         "command_line_for_petsc": " ".join(petsc),
         "ranks": ranks,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
+        "machine": machine(),
         "host": platform.node(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def machine() -> str:
+    """Processor, number of cores and operating system."""
+    name = platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+        name = models[0] if models else name
+    except OSError:  # not Linux
+        pass
+    return f"{name}, {os.cpu_count()} cores, {platform.platform()}"
 
 
 def git_revision() -> str:

@@ -26,17 +26,13 @@ def _run(
     comm: Any, path: Path, options: argparse.Namespace, petsc: Sequence[str], clock: Clock
 ) -> int:
     with clock.part("import"):
-        from qbxstokes.app.plan import make_plan
         from qbxstokes.app.summary import explain, plan_facts, summary_text
+        from qbxstokes.app.tasks import plan_of
         from qbxstokes.config.load import from_document, load_case
 
     def read() -> Any:
         loaded = load_case(path, options.set)
-        if loaded.case.task == "field":
-            from qbxstokes.app.field import plan_field
-
-            return loaded.document, None, plan_field(loaded, options.overwrite)
-        return loaded.document, loaded.space, make_plan(loaded, options.overwrite)
+        return loaded.document, loaded.space, plan_of(loaded, options.overwrite)
 
     with clock.part("read and plan"):
         document, space, plan = on_root(comm, read)
@@ -45,6 +41,10 @@ def _run(
         from qbxstokes.app.field_run import run_field_case
 
         return run_field_case(comm, loaded, plan, options, petsc, clock)
+    if loaded.case.task != "motion":
+        from qbxstokes.app.tabulate import run_tables
+
+        return run_tables(comm, loaded, plan, options, petsc, clock)
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if loaded.space is not None:
         from qbxstokes.app.batch import sweep_command

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from qbxstokes.config.base import describe
 from qbxstokes.config.document import Document, Key, parse, read_text
-from qbxstokes.config.schema import Case
+from qbxstokes.config.schema import TABLE_TASKS, Case
 from qbxstokes.config.sweep import (
     TABLE,
     Sweep,
@@ -24,6 +24,7 @@ from qbxstokes.config.sweep import (
     build_space,
     parse_key,
 )
+from qbxstokes.config.tabulate import SCENE_SECTIONS
 from qbxstokes.errors import CaseError, FlowError
 
 if TYPE_CHECKING:
@@ -52,7 +53,10 @@ class LoadedCase:
 
     def resolved(self) -> dict[str, Any]:
         """Every key with its value, defaults included, as plain data."""
-        return self.case.model_dump(mode="json")
+        unused = {name for name in TABLE_TASKS if name != self.case.task}
+        if self.case.task in TABLE_TASKS:
+            unused |= set(SCENE_SECTIONS)
+        return self.case.model_dump(mode="json", exclude=unused)
 
 
 def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:

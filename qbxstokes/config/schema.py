@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from qbxstokes.config.base import Section, Text, describe, problem
+from qbxstokes.config.benchmark import Benchmark
 from qbxstokes.config.body import Body
 from qbxstokes.config.compare import Compare
 from qbxstokes.config.field import FieldSection
@@ -19,10 +20,14 @@ from qbxstokes.config.flow import FlowSection
 from qbxstokes.config.hydrodynamics import Hydrodynamics
 from qbxstokes.config.output import Output
 from qbxstokes.config.start import Start
+from qbxstokes.config.stress import Stress
 from qbxstokes.config.sweep import Sweep
+from qbxstokes.config.tabulate import SCENE_SECTIONS
 from qbxstokes.config.time import Time
 
-Task = Literal["motion", "field"]
+Task = Literal["motion", "field", "benchmark", "stress"]
+# Tasks that build their own scenes and make tables; each has a section of its own name.
+TABLE_TASKS = ("benchmark", "stress")
 
 PetscValue = str | int | float | bool | None
 
@@ -68,8 +73,31 @@ class Case(Section):
     sweep: Sweep | None = Field(
         default=None, description="vary keys of the case: many trajectories, one result"
     )
+    benchmark: Benchmark = Field(
+        default=Benchmark(), description="tables of run time against error"
+    )
+    stress: Stress = Field(default=Stress(), description="tables of numerical stability")
     output: Output = Field(default=Output(), description="the result file")
     compare: Compare = Field(default=Compare(), description="what to hold the result against")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _scene_of_tables(cls, data: Any) -> Any:
+        """A task that builds its own scenes takes none, and stands on a scene that is not used."""
+        if not isinstance(data, dict):
+            return data
+        task = data.get("task", "motion")
+        for name in TABLE_TASKS:
+            if name in data and name != task:
+                raise problem(f"has no meaning for task: {task}", "leave it out", (name,))
+        if task not in TABLE_TASKS:
+            return data
+        for name in SCENE_SECTIONS:
+            if name in data:
+                raise problem(
+                    f"has no meaning for task: {task}", "leave it out: it has its own", (name,)
+                )
+        return {**data, "body": {"aspect_ratio": 1.0}, "flow": {"type": "uniform"}}
 
     @model_validator(mode="after")
     def _sections_agree(self) -> Case:

@@ -1,0 +1,3 @@
+"""`task: stress`: numerical stability, one module per table; every row has a bound."""
+
+MAKERS: dict[str, str] = {}

@@ -1,0 +1,263 @@
+"""Tasks that make tables: run their makers, print and store what they give, check the bounds.
+
+A maker is a module with a function `tables(work)` that yields tables; its registry (one dictionary
+per task) names it. A table may have a column `passed`: a row where it is false fails the run, and
+the text of its first columns says which.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.app.clock import Clock
+from qbxstokes.app.parallel import on_root
+from qbxstokes.app.plan import result_path
+from qbxstokes.app.report import WIDTH, Rows, duration, headline, render
+from qbxstokes.config.load import LoadedCase, nearest
+from qbxstokes.config.tabulate import Tables
+from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
+from qbxstokes.io.results import ResultWriter, check_writable, free_name
+from qbxstokes.io.tables import Table
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a maker is asked for.
+
+    section: that of the task in the case. ranks: number of MPI ranks of this run (a maker runs on
+    rank 0). say: a line of progress.
+    """
+
+    section: Tables
+    ranks: int
+    say: Callable[[str], None]
+
+    @property
+    def full(self) -> bool:
+        """Whether the whole extent is asked for."""
+        return self.section.size == "full"
+
+    def choose(self, small: Any, full: Any) -> Any:
+        """One of two extents."""
+        return full if self.full else small
+
+
+Maker = Callable[[Work], Iterator[Table]]
+
+
+@dataclass(frozen=True)
+class TablesPlan:
+    """Makers by name, and where the result goes."""
+
+    makers: dict[str, str]
+    output: Path
+
+
+def registry(task: str) -> dict[str, str]:
+    """Name of every table of a task -> module that makes it."""
+    makers: dict[str, str] = import_module(f"qbxstokes.app.{task}").MAKERS
+    return makers
+
+
+def plan_tables(loaded: LoadedCase, overwrite: bool) -> TablesPlan:
+    """The makers that the case asks for; raises CaseError for names that are none."""
+    task = loaded.case.task
+    section: Tables = getattr(loaded.case, task)
+    known = registry(task)
+    for index, name in enumerate(section.tables or ()):
+        if name not in known:
+            close = nearest(name, list(known))
+            right = f"did you mean {close}?" if close else f"one of {', '.join(known)}"
+            raise loaded.error((task, "tables", index), f"{name!r} is not a table", right)
+    output = result_path(loaded)
+    overwrite = overwrite or loaded.case.output.overwrite
+    try:
+        check_writable(output, overwrite)
+    except CaseError as error:
+        raise loaded.error("output.file", str(error)) from None
+    if not overwrite:
+        output = free_name(output)
+    return TablesPlan({name: known[name] for name in section.tables or known}, output)
+
+
+def run_tables(
+    comm: Any,
+    loaded: LoadedCase,
+    plan: TablesPlan,
+    options: argparse.Namespace,
+    petsc: Sequence[str],
+    clock: Clock,
+) -> int:
+    """Make the tables on rank 0, print and store them; returns the exit status."""
+    speak = comm.rank == 0 and not (options.quiet or options.json)
+    if speak and (options.explain or options.dry_run):
+        print(explain_tables(loaded, plan))
+    if options.dry_run:
+        if comm.rank == 0 and options.json:
+            facts = {"tables": list(plan.makers), "output": str(plan.output)}
+            print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
+        return 0
+    with clock.part("start PETSc"):
+        from qbxstokes.app.provenance import provenance
+        from qbxstokes.petsc import session
+
+        PETSc = session.start(petsc, loaded.case.petsc)
+
+    def compute() -> list[str]:
+        record = provenance(loaded, PETSc, comm.size, petsc)
+        return _compute(comm.size, loaded, plan, options, record, clock)
+
+    failures = on_root(comm, compute)
+    if comm.rank == 0:
+        for failure in failures:
+            print(f"qbxstokes: {failure}", file=sys.stderr)
+    return ConvergenceError.exit_status if failures else 0
+
+
+def _compute(
+    ranks: int,
+    loaded: LoadedCase,
+    plan: TablesPlan,
+    options: argparse.Namespace,
+    record: dict[str, Any],
+    clock: Clock,
+) -> list[str]:
+    task = loaded.case.task
+    section: Tables = getattr(loaded.case, task)
+    speak = not (options.quiet or options.json)
+
+    def say(line: str) -> None:
+        if speak and options.progress != "none":
+            print(f"  ... {line}", file=sys.stderr, flush=True)
+
+    if speak:
+        print(headline(loaded.case.title or f"Task {task}", str(loaded.path)), flush=True)
+    made: list[Table] = []
+    failures: list[str] = []
+    files: list[str] = []
+    replace = options.overwrite or loaded.case.output.overwrite
+    with ResultWriter(plan.output, task, record, replace) as writer:
+        for name, module in plan.makers.items():
+            with clock.part(name):
+                maker: Maker = import_module(module).tables
+                try:
+                    for table in maker(Work(section, ranks, say)):
+                        table.provenance = made_by(record, loaded)
+                        made.append(table)
+                        table.write_hdf5(writer.file)
+                        files += _beside(plan.output, section, table)
+                        failures += [f"{task} {reason}" for reason in failed_rows(table)]
+                        if speak:
+                            print(f"\n{table.to_text(WIDTH)}", flush=True)
+                except QbxStokesError as error:
+                    failures.append(f"{task} {name}: {error}")
+                except Exception as error:  # the other tables are still wanted
+                    print(traceback.format_exc(), file=sys.stderr, flush=True)
+                    failures.append(f"{task} {name}: {type(error).__name__}: {error}")
+        summary: dict[str, Any] = {
+            "tables": [table.name for table in made],
+            "failures": failures,
+            "files": files,
+        }
+        summary["wall_times"] = {**clock.parts, "total": clock.total}
+        result = writer.finish(summary)
+    if options.json:
+        tables = [json_table(table) for table in made]
+        print(json.dumps({**summary, "result": str(result), "tables": tables}, indent=2))
+    elif speak:
+        print(f"\n{_closing(summary, result)}")
+    return failures
+
+
+def _beside(result: Path, section: Tables, table: Table) -> list[str]:
+    """Write the CSV file and the figure of a table beside the result; their names."""
+    stem = result.with_name(f"{result.stem}_{table.name}")
+    files = []
+    if section.csv:
+        files.append(str(table.write_csv(stem.with_suffix(".csv"))))
+    if section.figures and table.plot:
+        from qbxstokes.plots import style
+        from qbxstokes.plots.table import figure_of
+
+        with style.styled():
+            files.append(str(style.save(figure_of(table), stem.with_suffix(".pdf"))))
+    return files
+
+
+def failed_rows(table: Table) -> Iterator[str]:
+    """One line for every row of a table whose bound was exceeded."""
+    if "passed" not in table.names:
+        return
+    shown = [column for column in table.columns if column.name != "passed"]
+    for row in table.records():
+        if row["passed"] is False:
+            texts = (
+                f"{' '.join(column.words)} {format(row[column.name], column.format or '')}"
+                for column in shown
+                if row[column.name] is not None
+            )
+            yield f"{table.name}: bound exceeded: {', '.join(texts)}"
+
+
+def made_by(record: dict[str, Any], loaded: LoadedCase) -> dict[str, str]:
+    """Provenance of a table: the machine, the command and the version."""
+    return {
+        "machine": str(record["machine"]),
+        "command": f"python -m qbxstokes {loaded.path}",
+        "version": " ".join(filter(None, (record["version"], record["git_revision"]))),
+    }
+
+
+def json_table(table: Table) -> dict[str, Any]:
+    """A table as plain data."""
+    return {
+        "name": table.name,
+        "title": table.title,
+        "columns": [vars(column) for column in table.columns],
+        "rows": list(table.records()),
+        "notes": table.notes,
+    }
+
+
+def explain_tables(loaded: LoadedCase, plan: TablesPlan) -> str:
+    """What will be made, in a line per table."""
+    rows = [
+        (f"{name} ", (inspect.getdoc(import_module(module)) or "").split("\n\n")[0])
+        for name, module in plan.makers.items()
+    ]
+    blocks: dict[str, Rows] = {"Tables": rows, "Writes": [(f"{plan.output} ", "")]}
+    return render(f"Plan: {loaded.case.title or loaded.case.task}", str(loaded.path), blocks)
+
+
+def _closing(summary: dict[str, Any], result: Path) -> str:
+    times = summary["wall_times"]
+    spent = ", ".join(f"{name} {duration(value)}" for name, value in times.items())
+    rows: list[tuple[str, str]] = [("file", str(result))]
+    if summary["files"]:
+        rows.append(("", f"and {len(summary['files'])} files beside it"))
+    return render(
+        "Done" if not summary["failures"] else f"Done, {len(summary['failures'])} bounds exceeded",
+        "",
+        {"Times": [("", spent)], "Result": rows},
+    )
+
+
+def median_time(action: Callable[[], Any], repeats: int) -> float:
+    """Median of the wall times of an action, in seconds, after one run that is not counted."""
+    action()
+    spans = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        action()
+        spans.append(time.perf_counter() - begin)
+    return sorted(spans)[len(spans) // 2]
