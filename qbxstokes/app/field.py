@@ -482,7 +482,7 @@ class FieldEvaluation:
         """
         from scipy.integrate import solve_ivp
 
-        from qbxstokes.bie.lines import N_STATE, MovingFlow, state_rate, to_points, to_state
+        from qbxstokes.bie.lines import N_STATE, MovingFlow, carried_rate, to_points, to_state
 
         asked, k = self.section.tracers, self.spheroid.aspect_ratio
         assert asked is not None
@@ -501,11 +501,13 @@ class FieldEvaluation:
             equations.rates(t, state[:, None], out)
             velocity, spin = equations.velocities(t, state[None])
             around = rotation.matrix(rotation.normalize(state[3:7]))
+
+            def relative(x: Array) -> Array:
+                return flow.relative_velocity(t, state[:3], around, velocity[0], spin[0], x)
+
             carried = flat[n_body:].reshape(-1, N_STATE)
-            u = flow.relative_velocity(
-                t, state[:3], around, velocity[0], spin[0], to_points(carried, k)
-            )
-            return np.concatenate([out[:, 0], state_rate(carried, u, k).ravel()])
+            moved = carried_rate(carried, relative, k, unit_speed=False)
+            return np.concatenate([out[:, 0], moved.ravel()])
 
         with self.clock.part("tracers"):
             solution = solve_ivp(

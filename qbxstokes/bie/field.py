@@ -304,7 +304,7 @@ def resolving_grid(spheroid: Spheroid, background: Background, tolerance: float)
     # What all higher modes hold together, from each mode on.
     rest = np.cumsum(size[::-1])[::-1] / size.max()
     small = np.flatnonzero(rest < tolerance)
-    n_phi = 2 * int(small[0] if small.size else MOST_NODES) + 2
+    n_phi = max(2 * int(small[0] if small.size else MOST_NODES), 4)
     n_theta = 8
     while True:
         grid = SurfaceGrid(spheroid, n_theta, n_phi)

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Velocity = Callable[[float, Array], Array]
 
 N_STATE = 4
+_FLOOR = float(np.log(1e-5))
 
 
 def to_state(points: Array, aspect_ratio: float) -> Array:
@@ -50,6 +51,24 @@ def state_rate(state: Array, velocity: Array, aspect_ratio: float) -> Array:
     return np.concatenate([2.0 * radius * along / level, (scaled - along * unit) / radius], axis=-1)
 
 
+def carried_rate(
+    state: Array, velocity: Callable[[Array], Array], aspect_ratio: float, unit_speed: bool
+) -> Array:
+    """Rate (N, 4) of states (N, 4) in a relative velocity, or in its direction (`unit_speed`).
+
+    Closer to the surface than the level of `_FLOOR`, where the normal velocity, which falls as the
+    square of the distance, drowns in rounding, the rates are those at that level: with the distance
+    the tangential velocity falls linearly, so that log L and y change in proportion to it.
+    """
+    level = state[:, :1]
+    raised = np.concatenate([np.maximum(level, _FLOOR), state[:, 1:]], axis=-1)
+    u = velocity(to_points(raised, aspect_ratio))
+    if unit_speed:
+        speed = np.linalg.norm(u, axis=-1, keepdims=True)
+        return state_rate(raised, u / np.where(speed > 0.0, speed, 1.0), aspect_ratio)
+    return state_rate(raised, u, aspect_ratio) * np.exp(np.minimum(level - _FLOOR, 0.0))
+
+
 def integrate_lines(
     velocity: Velocity,
     points: Array,
@@ -74,11 +93,9 @@ def integrate_lines(
 
     def rate(t: float, flat: Array) -> Array:
         state = flat.reshape(-1, N_STATE)
-        u = velocity(t, to_points(state, aspect_ratio))
-        if unit_speed:
-            speed = np.linalg.norm(u, axis=-1, keepdims=True)
-            u = u / np.where(speed > 0.0, speed, 1.0)
-        return state_rate(state, u, aspect_ratio).ravel()
+        return carried_rate(
+            state, lambda x: velocity(t, x), aspect_ratio, unit_speed=unit_speed
+        ).ravel()
 
     solution = solve_ivp(
         rate,

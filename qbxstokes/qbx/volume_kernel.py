@@ -41,6 +41,7 @@ def gegenbauer(order, a2, b, sums):  # type: ignore[no-untyped-def]
 
     The index is h + 1/2 for h = 0..3, degrees run to order - h, the last h + 1 sums are kept.
     """
+    sums[:] = 0.0
     factor = 1.0
     slot = 0
     for h in range(4):
