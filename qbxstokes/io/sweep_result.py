@@ -66,6 +66,29 @@ class SweepResult(Result):
         shapes = ", ".join(f"{name}{list(shape)}" for name, shape in self.arrays.shapes.items())
         return f"<sweep result {self.path}: {shapes}>"
 
+    def trajectory(self, number: int) -> Result:
+        """One trajectory as the result of a motion; raises IndexError where there is none.
+
+        Only its own samples are read. `provenance["swept"]` holds its swept values.
+        """
+        import h5py
+
+        with h5py.File(self.path, "r") as file:
+            if not 0 <= number < len(file["table"]):
+                raise IndexError(f"no trajectory {number} among {len(file['table'])}")
+            row = file["table"][number : number + 1]
+            arrays = {
+                name: file[name][()] if file[name].ndim == 1 else file[name][number]
+                for name in self._samples()
+                if file[name].ndim > 1 or name == "time"
+            }
+        summary = {name: _texts(row[name])[0].item() for name in row.dtype.names}
+        swept = {name: summary.pop(name) for name in self.coordinates}
+        header = {"task": "motion", "format_version": self.format_version}
+        attributes = {name: self.attributes[name] for name in arrays}
+        groups = {"provenance": {**self.provenance, "swept": swept}, "summary": summary}
+        return Result(self.path, header, arrays, attributes, groups)
+
     def to_pandas(self) -> pandas.DataFrame:
         """The table, one row per trajectory; needs pandas."""
         import pandas as pd

@@ -144,8 +144,9 @@ class Scene:
         axes.set_ylim(-limit, limit)
         axes.set_aspect("equal")
         axes.set_axis_off()
-        body = PolyCollection([], zorder=3, linewidths=0.7, closed=True)
-        self._body = axes.add_collection(body, autolim=False)
+        body: Any = PolyCollection([], zorder=3, linewidths=0.7, closed=True)
+        axes.add_collection(body, autolim=False)
+        self._body = body
         self._way = axes.plot([], [], color=style.GREY, lw=0.9, zorder=0.8)[0]
         self._trails = [
             axes.plot([], [], color=color, lw=width, zorder=zorder, solid_capstyle="butt")[0]
@@ -233,18 +234,23 @@ class Scene:
     def _draw_triad(self) -> None:
         """The directions of space in the lower left corner."""
         low = self._axes.get_xlim()[0]
-        origin = np.array([0.78 * low, 0.80 * low])
+        x, y = 0.78 * low, 0.80 * low
         for index, direction in enumerate(np.eye(3)):
-            tip = 0.16 * abs(low) * self._camera.project(direction)
+            dx, dy = 0.16 * abs(low) * self._camera.project(direction)
             self._axes.annotate(
                 "",
-                xy=origin + tip,
-                xytext=origin,
+                xy=(x + dx, y + dy),
+                xytext=(x, y),
                 arrowprops={"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
                 zorder=0.5,
             )
             self._axes.text(
-                *(origin + 1.35 * tip), f"$x_{index + 1}$", ha="center", va="center", fontsize=8
+                x + 1.35 * dx,
+                y + 1.35 * dy,
+                f"$x_{index + 1}$",
+                ha="center",
+                va="center",
+                fontsize=8,
             )
 
 

@@ -120,8 +120,8 @@ def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None
     if front or length > 1.02:
         axes.annotate(
             "",
-            xy=tip,
-            xytext=start,
+            xy=(tip[0], tip[1]),
+            xytext=(start[0], start[1]),
             arrowprops={
                 "arrowstyle": "-|>,head_length=0.35,head_width=0.13",
                 "color": style.BLACK,
@@ -132,7 +132,8 @@ def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None
             zorder=5 if front else 0.2,
         )
     towards = tip / max(length, 1e-12)
-    axes.text(*(tip + 0.08 * towards), name, ha="center", va="center", zorder=5)
+    x, y = tip + 0.08 * towards
+    axes.text(x, y, name, ha="center", va="center", zorder=5)
 
 
 def _draw_path(axes: Axes, camera: Camera, path: Array) -> None:

@@ -86,9 +86,15 @@ def resolved_case(result: ResultLike) -> Mapping[str, Any]:
 
 
 def aspect_ratio(result: ResultLike) -> float:
-    """Aspect ratio k of the body; raises ResultFileError where the file does not say."""
+    """Aspect ratio k of the body; raises ResultFileError where the file does not say.
+
+    Of a trajectory of a sweep it may be a swept value, which its provenance names.
+    """
     body = resolved_case(result).get("body", {})
     value = body.get("aspect_ratio") if isinstance(body, dict) else None
+    swept = result.provenance.get("swept", {})
+    if isinstance(swept, dict):
+        value = swept.get("aspect_ratio", value)
     if not isinstance(value, (int, float)) or not 0.0 < value < np.inf:
         raise ResultFileError(f"{result.path}: does not say the aspect ratio of the body")
     return float(value)

@@ -203,7 +203,7 @@ def draw_curves(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
         by = spec["by"][0]
         axes.figure.colorbar(colours.mappable, ax=axes, label=_label(table, by), aspect=30)
     elif index > 1:
-        longest = max(len(text.get_label()) for text in axes.get_lines())
+        longest = max(len(str(line.get_label())) for line in axes.get_lines())
         style.legend_above(axes, columns=max(1, min(4, 44 // (longest + 8))))
 
 
@@ -454,7 +454,8 @@ class _Shades:
 
     def __call__(self, value: float) -> Any:
         """The colour of the curve for this value."""
-        return self.mappable.to_rgba(value)
+        mappable: Any = self.mappable
+        return mappable.to_rgba(value)
 
 
 def _draw_slopes(axes: Axes, slopes: Sequence[float]) -> None:

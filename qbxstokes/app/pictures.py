@@ -1,0 +1,248 @@
+"""The commands `plot` and `animate`: pictures of result files and tables."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from qbxstokes.errors import CaseError
+from qbxstokes.io.results import Result, load
+from qbxstokes.io.sweep_result import SweepResult
+from qbxstokes.io.tables import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PLOT_USAGE = """\
+usage: python -m qbxstokes plot FILE ... [options]
+
+Draws what result files (.h5) and tables (.csv) hold; each picture is a file
+NAME-KIND.FORMAT. An older picture of that name is replaced.
+
+options
+  --output DIR        where the pictures go (default: here)
+  --format FORMAT     pdf (default), svg or png; several with commas
+  --kind KIND         only these, several with commas
+  --trajectory N      of a sweep: the pictures of one trajectory
+  --quiet, --json     print nothing; print the names of the files as JSON
+
+of a motion
+{motion}
+of a sweep
+  a summary of its table, such as period, rotation_rate, orbit_drift
+
+of a table, or a sweep's own: columns by name instead of what the file suggests
+  --table NAME        which table, where the file holds several
+  --x A --y B,...     curves of B over A
+  --by C,...          one curve (or map) per value of C
+  --value D           a map of D over A and B
+  --scale SCALE       loglog, semilogx, semilogy or linear
+"""
+
+ANIMATE_USAGE = """\
+usage: python -m qbxstokes animate FILE [options]
+
+The tumbling body with the trail of its axis and the path of its centre.
+
+options
+  --output DIR        where the animation goes (default: here)
+  --format FORMAT     gif (default), or mp4 where ffmpeg is installed
+  --from T --until T  window of time (default: all)
+  --frames N          number of frames (default: 48 a turn, 60 to 360 in all)
+  --fps N             frames per second (default: 25)
+  --trajectory N      of a sweep: which trajectory
+  --quiet, --json     print nothing; print the name of the file as JSON
+"""
+
+Drawing = Callable[[], "Figure"]
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are CaseErrors."""
+
+    def error(self, message: str) -> NoReturn:
+        raise CaseError(f"command line: {message}; see python -m {self.prog} --help")
+
+
+def picture_command(command: str, words: Sequence[str]) -> int:
+    """Carry out `plot` or `animate`; returns the exit status, raises CaseError for bad input."""
+    parser = _Parser(prog=f"qbxstokes {command}", add_help=False, allow_abbrev=False)
+    parser.add_argument("files", nargs="*")
+    parser.add_argument("--output", type=Path, default=Path())
+    parser.add_argument("--format", default="pdf" if command == "plot" else "gif")
+    parser.add_argument("--trajectory", type=int)
+    for flag in ("quiet", "json", "help"):
+        parser.add_argument(f"--{flag}", action="store_true")
+    if command == "plot":
+        parser.add_argument("--kind", type=_listed, action="extend", default=[])
+        parser.add_argument("--table")
+        parser.add_argument("--x")
+        parser.add_argument("--value")
+        parser.add_argument("--scale")
+        for name in ("--y", "--by"):
+            parser.add_argument(name, type=_listed, action="extend", default=[])
+    else:
+        parser.add_argument("--frames", type=int)
+        parser.add_argument("--fps", type=int, default=25)
+        parser.add_argument("--from", type=float, dest="begin")
+        parser.add_argument("--until", type=float)
+    words = ["--help" if word == "-h" else word for word in words]
+    options = parser.parse_intermixed_args(words)
+    if options.help:
+        print(_usage(command), end="")
+        return 0
+    if not options.files:
+        raise CaseError(f"command line: {command} needs a result file")
+    written = _plot(options) if command == "plot" else _animate(options)
+    if options.json:
+        print(json.dumps([str(path) for path in written], indent=2))
+    elif not options.quiet:
+        for path in written:
+            print(path)
+    return 0
+
+
+def drawings(
+    path: Path,
+    kinds: Sequence[str] = (),
+    trajectory: int | None = None,
+    table: str | None = None,
+    roles: Mapping[str, Any] | None = None,
+) -> dict[str, Drawing]:
+    """Kind and drawing of each picture of a file; `roles` (x, y, by, value, scale) of a table.
+
+    Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
+    file that is damaged or was not written by this program.
+    """
+    from qbxstokes.plots import motion, sweep
+    from qbxstokes.plots.table import figure_of
+
+    found: dict[str, Drawing]
+    if path.suffix == ".csv":
+        held = Table.read_csv(path)
+        tables = {held.name: held}
+        found = {}
+    else:
+        result = _opened(path, trajectory)
+        if isinstance(result, SweepResult):
+            return sweep.drawings(result, kinds, dict(roles or {}))
+        tables = result.tables
+        found = motion.drawings(result) if result.task == "motion" else {}
+    if roles:
+        if table is None and len(tables) == 1:
+            (table,) = tables
+        if table not in tables:
+            names = ", ".join(tables) or "none"
+            raise CaseError(f"{path}: name one of its tables with --table; there are: {names}")
+        return {table: partial(figure_of, tables[table], roles)}
+    for name, held in tables.items():
+        if held.plot and table in (None, name):
+            found[name] = partial(figure_of, held)
+    for kind in kinds:
+        if kind not in found:
+            there = ", ".join(found) or "no pictures"
+            raise CaseError(f"{path}: nothing to draw as {kind!r}; there are {there}")
+    if not found:
+        raise CaseError(f"{path}: holds nothing that calls for a picture")
+    return {kind: found[kind] for kind in kinds} if kinds else found
+
+
+def _opened(path: Path, trajectory: int | None) -> Result:
+    """The result in a file, or one trajectory of the sweep in it."""
+    result = load(path)
+    if trajectory is None:
+        return result
+    if not isinstance(result, SweepResult):
+        raise CaseError(f"{path}: is not a sweep, so it has no trajectories by number")
+    if "time" not in result.arrays:
+        raise CaseError(f"{path}: keeps summaries alone; run it with sweep.store: samples")
+    try:
+        return result.trajectory(trajectory)
+    except IndexError as error:
+        raise CaseError(f"{path}: {error}") from None
+
+
+def _plot(options: argparse.Namespace) -> list[Path]:
+    from qbxstokes.plots import style
+
+    formats = _listed(options.format)
+    for name in formats:
+        if name not in style.FORMATS:
+            raise CaseError(f"command line: --format is one of {', '.join(style.FORMATS)}")
+    roles = {
+        key: getattr(options, key)
+        for key in ("x", "y", "by", "value", "scale")
+        if getattr(options, key)
+    }
+    # All files are read before the first picture is written.
+    chosen = {
+        Path(name): drawings(Path(name), options.kind, options.trajectory, options.table, roles)
+        for name in options.files
+    }
+    _make_folder(options.output)
+    written = []
+    for path, kinds in chosen.items():
+        for kind, draw in kinds.items():
+            with style.styled():
+                figure = draw()
+            for name in formats:
+                target = options.output / f"{_stem(path, options)}-{kind}.{name}"
+                written.append(style.save(figure, target))
+    return written
+
+
+def _animate(options: argparse.Namespace) -> list[Path]:
+    from qbxstokes.plots.animation import FORMATS, animate
+
+    if len(options.files) > 1:
+        raise CaseError(f"command line: {options.files[1]}: animate takes one file at a time")
+    if options.format not in FORMATS:
+        raise CaseError(f"command line: --format is one of {', '.join(FORMATS)}")
+    if options.frames is not None and not 1 <= options.frames <= 10_000:
+        raise CaseError("command line: --frames is a number from 1 to 10000")
+    if not 1 <= options.fps <= 50:
+        raise CaseError("command line: --fps is a number from 1 to 50")
+    path = Path(options.files[0])
+    result = _opened(path, options.trajectory)
+    if isinstance(result, SweepResult):
+        raise CaseError(f"{path}: is a sweep; choose one of its motions with --trajectory N")
+    if result.task != "motion":
+        raise CaseError(f"{path}: holds no motion to animate")
+    infinity = float("inf")
+    window = (
+        -infinity if options.begin is None else options.begin,
+        infinity if options.until is None else options.until,
+    )
+    film = animate(result, options.frames, options.fps, window)
+    _make_folder(options.output)
+    return [film.save(options.output / f"{_stem(path, options)}.{options.format}")]
+
+
+def _usage(command: str) -> str:
+    if command == "animate":
+        return ANIMATE_USAGE
+    from qbxstokes.plots.motion import KINDS
+
+    return PLOT_USAGE.format(
+        motion=textwrap.indent("".join(f"{kind:20}{text}\n" for kind, text in KINDS.items()), "  ")
+    )
+
+
+def _listed(text: str) -> list[str]:
+    return [word for word in text.split(",") if word]
+
+
+def _stem(path: Path, options: argparse.Namespace) -> str:
+    return path.stem if options.trajectory is None else f"{path.stem}-{options.trajectory}"
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CaseError(f"{folder}: cannot be made a folder ({error.strerror})") from None
