@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.motion.diagnostics import orbit_constant
+
 Array = NDArray[np.float64]
 
 # More than this between two samples, and the turns cannot be counted.
@@ -124,7 +126,7 @@ def turn_averages(
             speed = (place - start_place) / span[:, None]
             early_speed = (place2 - start_place) / half[:, None]
             late_speed = (place - place2) / (span - half)[:, None]
-            constants = [orbit_in_frame(d, aspect_ratio, frame) for d in (axis[0], ending)]
+            constants = [orbit_constant(d, aspect_ratio, frame.axes) for d in (axis[0], ending)]
             drift = np.log(constants[1] / constants[0]) / span
     else:
         period = change = drift = span = nothing
@@ -139,17 +141,10 @@ def turn_averages(
     result["mean_velocity"] = np.where(some[:, None], speed, (x[-1] - x[0]) / whole)
     halves = (some & (middle_count >= 1))[:, None]
     result["velocity_change"] = np.where(halves, late_speed - early_speed, np.nan)
-    result["orbit_constant_start"] = orbit_in_frame(samples["axis"][0], aspect_ratio, frame)
-    result["orbit_constant_end"] = orbit_in_frame(axis[-1], aspect_ratio, frame)
+    result["orbit_constant_start"] = orbit_constant(samples["axis"][0], aspect_ratio, frame.axes)
+    result["orbit_constant_end"] = orbit_constant(axis[-1], aspect_ratio, frame.axes)
     result["orbit_drift"] = np.where(some & np.isfinite(drift), drift, np.nan)
     return result
-
-
-def orbit_in_frame(axis: Array, k: float, frame: ShearFrame) -> Array:
-    """Orbit constant sqrt(d_b^2 + k^2 d_a^2)/(k |d_n|), infinite when tumbling."""
-    d = axis @ frame.axes.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.hypot(d[..., 1], k * d[..., 0]) / (k * np.abs(d[..., 2])))
 
 
 def _hermite(t: Array, values: Array, rates: Array, interval: NDArray[np.intp], s: Array) -> Array:
