@@ -32,8 +32,8 @@ def model(k):
 @pytest.mark.parametrize("k", [1 / 100, 1 / 20, 1 / 5, 1 / 2, 1.0, 2.0, 5.0, 20.0, 100.0])
 def test_resistance_against_lamb_and_jeffery(k):
     r = model(k).resistance
-    # At k = 1/100 rounding in the operator is amplified by its condition number, 1e7.
-    tolerance = 1e-12 if k > 0.02 else 1e-10
+    # At k = 1/100 and 100 rounding in the operator is amplified by its condition number, 1e7.
+    tolerance = 1e-12 if 0.02 < k < 50 else 1e-10
     assert (r.translation_transverse, r.translation_axial) == pytest.approx(
         lamb.translation_resistance(k), rel=tolerance
     )

@@ -245,13 +245,17 @@ def estimate_error(
     if body.direct is not body.functional:
         operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
         solver = model_distance(body.model, _model(operators, body.direct), degree)
+    rounding = _rounding(body, completion, degree)
+    # A difference no larger than the rounding errors of its terms shows these, counted already.
+    quadrature = model_distance(body.model, by_panels.model, degree) - rounding
+    truncation = model_distance(by_panels.model, by_order.model, degree) - rounding
     return ErrorParts(
-        quadrature=model_distance(body.model, by_panels.model, degree),
-        truncation=model_distance(by_panels.model, by_order.model, degree),
+        quadrature=max(quadrature, 0.0),
+        truncation=max(truncation, 0.0),
         # Of the finest panels, whose quadrature adds the least to the coefficients.
         resolution=adjoint_tail(by_order.functional),
         solver=solver,
-        rounding=_rounding(body, completion, degree),
+        rounding=rounding,
     )
 
 

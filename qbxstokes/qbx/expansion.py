@@ -14,7 +14,7 @@ Y_l^m = sqrt((l-|m|)!/(l+|m|)!) P_l^|m|(cos) exp(i m phi); the factor sqrt((2l+1
 give Y cancels 4 pi/(2l+1) in the sum. A real density needs m >= 0 alone: z_l,-m = conj z_lm.
 
 Lengths are scaled by the expansion radius, so that powers neither overflow nor vanish. The form at
-one target (`kernel.target_row`) is the same number at a cost of O(p) instead of O(p^2).
+one target (`kernel.target_specific`) is the same number at a cost of O(p) instead of O(p^2).
 """
 
 from __future__ import annotations

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.qbx.harmonics import from_coefficients
+from qbxstokes.qbx.kernel import Centre, Kernels, layer_row, target_specific
+from qbxstokes.qbx.panels import Rule, graded_rule, uniform_rule
 
 Array = NDArray[np.float64]
 Side = Literal["average", "inner", "outer"]
@@ -54,12 +57,10 @@ class GradedScheme:
         """Expansion radius at theta, in c."""
         return self.radius_factor * float(spheroid.admissible_radius(theta))
 
-    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> tuple[Array, ...]:
+    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> Rule:
         """Source rule of the centre on the given side of the target at theta."""
-        from qbxstokes.qbx.panels import graded_rule
-
         x, w = np.polynomial.legendre.leggauss(self.panel_order)
-        rule: tuple[Array, ...] = graded_rule(
+        return graded_rule(
             float(spheroid.aspect_ratio),
             theta,
             side,
@@ -71,7 +72,6 @@ class GradedScheme:
             x,
             w,
         )
-        return rule
 
 
 @dataclass(frozen=True)
@@ -120,14 +120,9 @@ class UniformScheme:
             )
         return radius
 
-    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> tuple[Array, ...]:
+    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> Rule:
         """Source rule, the same for every centre: the upsampled grid."""
-        from qbxstokes.qbx.panels import uniform_rule
-
-        rule: tuple[Array, ...] = uniform_rule(
-            self.upsampling * self.n_theta, self.upsampling * self.n_phi
-        )
-        return rule
+        return uniform_rule(self.upsampling * self.n_theta, self.upsampling * self.n_phi)
 
 
 Scheme = GradedScheme | UniformScheme
@@ -152,18 +147,14 @@ def layer_rows(
 ) -> tuple[Array, Array]:
     """Rows of the double and the single layer at the targets theta[rows], phi = 0.
 
-    Returns two arrays (len(rows), n_modes, 3, 3, n_theta); see `kernel.target_row` for their
+    Returns two arrays (len(rows), n_modes, 3, 3, n_theta); see `kernel.layer_row` for their
     meaning. One-sided expansions carry the jump term, so that the value is that on the surface:
     the exterior limit is D - 4 pi psi (Bagge 2015, eq. 4.8). The second array is of length 0 in
     n_modes unless with_single.
     """
-    from qbxstokes.qbx.kernel import target_row
-
-    form = target_row
+    kernels: Kernels = target_specific
     if isinstance(scheme, UniformScheme) and scheme.coefficients:
-        from qbxstokes.qbx.harmonic_row import harmonic_row
-
-        form = harmonic_row
+        kernels = from_coefficients
     grid = scheme.grid(spheroid, 1)
     sides = {"average": (1, -1), "inner": (-1,), "outer": (1,)}[scheme.side]
     shape = (len(rows), n_modes, 3, 3, scheme.n_theta)
@@ -172,21 +163,26 @@ def layer_rows(
     for index, row in enumerate(rows):
         theta = float(grid.theta[row])
         for side in sides:
-            form(
+            centre = Centre(
                 float(spheroid.aspect_ratio),
                 theta,
                 side,
                 scheme.radius(spheroid, theta),
                 scheme.expansion_order,
-                *scheme.rule(spheroid, theta, side, n_modes),
+            )
+            rule = scheme.rule(spheroid, theta, side, n_modes)
+            pair = layer_row(
+                centre,
+                rule,
                 grid.theta,
                 grid.barycentric,
                 grid.nodes == "cosine",
                 n_modes,
                 with_single,
-                double[index],
-                single[index],
+                kernels,
             )
+            double[index] += pair[0]
+            single[index] += pair[1]
         if len(sides) == 1:
             for a in range(3):
                 double[index, :, a, a, row] += 4.0 * np.pi * sides[0]

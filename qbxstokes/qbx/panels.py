@@ -7,100 +7,92 @@ both halves of the circle.
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-MAX_DEPTH = 60
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Rule = tuple[Array, Array, Integers, Integers, Array, Array]
+
+MAX_DEPTH = 100
+# Points of a panel at which its distance to the centre is looked up.
+_SAMPLES = np.arange(9) / 8.0
 
 
-@njit(cache=True)
-def _distance(k, theta, phi, cx, cz):  # type: ignore[no-untyped-def]
-    rho = k * math.sin(theta)
-    dx = rho * math.cos(phi) - cx
-    dy = rho * math.sin(phi)
-    dz = math.cos(theta) - cz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+def _look(k: float, a: Array, b: Array, phi: Array, cx: float, cz: float) -> tuple[Array, ...]:
+    """Of panels [a, b] of a meridian: length (bound), least distance at phi, largest radius."""
+    theta = a[:, None] + (b - a)[:, None] * _SAMPLES
+    s, c = np.sin(theta), np.cos(theta)
+    longest = np.sqrt(np.max(s * s + (k * c) ** 2, axis=1))
+    rho = k * s
+    square = (rho * np.cos(phi)[:, None] - cx) ** 2 + (c - cz) ** 2
+    square += (rho * np.sin(phi)[:, None]) ** 2
+    return (b - a) * longest, np.sqrt(np.min(square, axis=1)), np.max(rho, axis=1)
 
 
-@njit(cache=True)
-def _theta_panel(k, a, b, phi, cx, cz):  # type: ignore[no-untyped-def]
-    """Length of [a, b] along a meridian (bound), least distance of it at phi, largest radius."""
-    longest = 0.0
-    nearest = 1e300
-    widest = 0.0
-    for i in range(9):
-        theta = a + (b - a) * i / 8.0
-        s = math.sin(theta)
-        longest = max(longest, math.hypot(s, k * math.cos(theta)))
-        widest = max(widest, k * s)
-        nearest = min(nearest, _distance(k, theta, phi, cx, cz))
-    return (b - a) * longest, nearest, widest
-
-
-@njit(cache=True)
-def graded_rule(aspect_ratio, theta_target, side, radius, ratio, max_theta, max_phi, x, w):  # type: ignore[no-untyped-def]
-    """Panels split until their length is at most ratio times their distance to the centre.
+def graded_rule(
+    aspect_ratio: float,
+    theta_target: float,
+    side: int,
+    radius: float,
+    ratio: float,
+    max_theta: float,
+    max_phi: float,
+    x: Array,
+    w: Array,
+) -> Rule:
+    """Panels split until both their lengths are at most ratio times their distance to the centre.
 
     x, w: Gauss-Legendre nodes and weights on [-1, 1] used on every panel and direction.
-    max_theta, max_phi: bounds on a panel's angle that keep the density and the azimuthal modes
-    resolved. Lists the theta panels first; each then carries its own azimuthal panels.
+    max_theta, max_phi: bounds on a panel's angles that keep the density and the azimuthal modes
+    resolved. A panel is a rectangle of angles and is halved along its longer side; each brings its
+    own theta nodes, so that equal ones may occur more than once.
     """
-    k = aspect_ratio
-    q = math.hypot(math.sin(theta_target), k * math.cos(theta_target))
-    cx = k * math.sin(theta_target) + side * radius * math.sin(theta_target) / q
-    cz = math.cos(theta_target) + side * radius * k * math.cos(theta_target) / q
-    panels = [(0.0, math.pi, 0)]
-    edges = [(0.0, 0.0)]
-    edges.clear()
-    while len(panels) > 0:
-        a, b, depth = panels.pop()
-        length, nearest, _ = _theta_panel(k, a, b, 0.0, cx, cz)
-        if depth < MAX_DEPTH and (length > ratio * nearest or b - a > max_theta):
-            middle = 0.5 * (a + b)
-            panels.append((middle, b, depth + 1))
-            panels.append((a, middle, depth + 1))
-        else:
-            edges.append((a, b))
+    k = float(aspect_ratio)
+    s, c = np.sin(theta_target), np.cos(theta_target)
+    q = np.hypot(s, k * c)
+    cx, cz = k * s + side * radius * s / q, c + side * radius * k * c / q
+    panels = np.array([[0.0, np.pi, 0.0, np.pi]])
+    finished = []
+    for depth in range(MAX_DEPTH + 1):
+        a, b, low, high = panels.T
+        length, nearest, widest = _look(k, a, b, low, cx, cz)
+        arc = (high - low) * widest
+        # The longer side first: thin bodies need no cut around their waist.
+        tall = (length > ratio * nearest) & (length >= arc) | (b - a > max_theta)
+        wide = (arc > ratio * nearest) & (arc > length) | (high - low > max_phi)
+        if depth == MAX_DEPTH:
+            tall[:] = wide[:] = False
+        finished.append(panels[~(tall | wide)])
+        panels = np.concatenate(
+            [
+                _halves(panels[tall & ~wide], 0),
+                _halves(panels[wide & ~tall], 2),
+                _halves(_halves(panels[tall & wide], 0), 2),
+            ]
+        )
+        if not len(panels):
+            break
+    a, b, low, high = np.concatenate(finished).T
     n = x.size
-    theta_nodes = np.empty(n * len(edges))
-    theta_weights = np.empty(n * len(edges))
-    phi_start = np.empty(n * len(edges), np.int64)
-    phi_stop = np.empty(n * len(edges), np.int64)
-    phi_edges = [(0.0, 0.0)]
-    phi_edges.clear()
-    for e in range(len(edges)):
-        a, b = edges[e]
-        start = len(phi_edges) * n
-        panels.append((0.0, math.pi, 0))
-        while len(panels) > 0:
-            lo, hi, depth = panels.pop()
-            _, nearest, widest = _theta_panel(k, a, b, lo, cx, cz)
-            if depth < MAX_DEPTH and ((hi - lo) * widest > ratio * nearest or hi - lo > max_phi):
-                middle = 0.5 * (lo + hi)
-                panels.append((middle, hi, depth + 1))
-                panels.append((lo, middle, depth + 1))
-            else:
-                phi_edges.append((lo, hi))
-        for i in range(n):
-            theta_nodes[e * n + i] = 0.5 * (a + b) + 0.5 * (b - a) * x[i]
-            theta_weights[e * n + i] = 0.5 * (b - a) * w[i]
-            phi_start[e * n + i] = start
-            phi_stop[e * n + i] = len(phi_edges) * n
-    phi_nodes = np.empty(n * len(phi_edges))
-    phi_weights = np.empty(n * len(phi_edges))
-    for e in range(len(phi_edges)):
-        lo, hi = phi_edges[e]
-        for i in range(n):
-            phi_nodes[e * n + i] = 0.5 * (lo + hi) + 0.5 * (hi - lo) * x[i]
-            phi_weights[e * n + i] = (hi - lo) * w[i]
-    return theta_nodes, theta_weights, phi_start, phi_stop, phi_nodes, phi_weights
+    start = np.repeat(n * np.arange(a.size), n)
+    return *_nodes(a, b, x, 0.5 * w), start, start + n, *_nodes(low, high, x, w)
 
 
-def uniform_rule(n_theta: int, n_phi: int) -> tuple[NDArray[Any], ...]:
+def _halves(panels: Array, side: int) -> Array:
+    """Panels (n, 4) cut in two along theta (side 0) or phi (side 2)."""
+    first, second = panels.copy(), panels.copy()
+    first[:, side + 1] = second[:, side] = 0.5 * (panels[:, side] + panels[:, side + 1])
+    return np.concatenate([first, second])
+
+
+def _nodes(low: Array, high: Array, x: Array, w: Array) -> tuple[Array, Array]:
+    """Nodes and weights of the rule (x, w) moved to each panel, one panel after the other."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    return (middle[:, None] + half[:, None] * x).ravel(), np.outer(high - low, w).ravel()
+
+
+def uniform_rule(n_theta: int, n_phi: int) -> Rule:
     """Gauss-Legendre in theta and trapezoid in phi on the upsampled grid (Bagge 2015, 5.3.3).
 
     The trapezoid rule over the whole circle is folded onto [0, pi] by the mirror symmetry of the
