@@ -38,7 +38,7 @@ class Work:
     rank 0). say: a line of progress.
     """
 
-    section: Tables
+    section: Any
     ranks: int
     say: Callable[[str], None]
 

@@ -1,0 +1,160 @@
+"""Random scenes and the symmetries that every motion in them must have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.bie.accuracy import AccurateBody, accurate_body
+from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.flows import PolynomialFlow
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion.equations import RigidBodyEquations
+
+Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def body_of(aspect_ratio: float, tolerance: float = 1e-11) -> AccurateBody:
+    """The hydrodynamics of a body as good as can be had, formed once in this run."""
+    return accurate_body(Spheroid(aspect_ratio), tolerance, strict=False)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A body in a polynomial flow: where it is and how it lies and moves (space frame)."""
+
+    aspect_ratio: float
+    flow: PolynomialFlow
+    position: Array
+    quaternion: Array
+    velocity: Array
+    angular_velocity: Array
+
+    @property
+    def scale(self) -> float:
+        """Size of the terms that the motion is summed from."""
+        size = max(1.0, self.aspect_ratio)
+        tensors = self.flow.derivatives(self.position)
+        return float(sum(np.abs(d).sum() * size**n for n, d in enumerate(tensors)))
+
+    def motion(self) -> Array:
+        """Free velocity and angular velocity, force and torque of the moving body, (4, 3)."""
+        model = body_of(self.aspect_ratio).model
+        equations = RigidBodyEquations(model, self.flow, 1.0)
+        state = equations.initial_state(
+            self.position, self.quaternion, self.velocity, self.angular_velocity
+        )
+        free = RigidBodyEquations(model, self.flow, 0.0).velocities(0.0, state[:, :7])
+        return np.concatenate([*free, *equations.force_torque(0.0, state)])
+
+    def state(self, stokes_number: float) -> tuple[RigidBodyEquations, Array]:
+        """Equations of motion and the start (1, n_state), with the flow if massless."""
+        model = body_of(self.aspect_ratio).model
+        equations = RigidBodyEquations(model, self.flow, stokes_number)
+        velocities = (self.velocity, self.angular_velocity) if stokes_number else (None, None)
+        return equations, equations.initial_state(self.position, self.quaternion, *velocities)
+
+
+def random_scene(rng: np.random.Generator, aspect_ratios: tuple[float, ...] = ()) -> Scene:
+    """Any body between 1/20 and 20 (or one of the given) in any flow of degree 0 to 3."""
+    k = (
+        float(rng.choice(np.array(aspect_ratios)))
+        if aspect_ratios
+        else float(np.exp(rng.uniform(-math.log(20.0), math.log(20.0))))
+    )
+    tensors = [rng.standard_normal(3)]
+    for degree in (1, 2, 3):
+        basis = stokes_polynomials(degree)
+        size = 0.5 * rng.integers(0, 2) * max(1.0, k) ** (1 - degree)
+        tensors.append(size * np.tensordot(rng.standard_normal(len(basis)), basis, axes=1))
+    return Scene(
+        k,
+        PolynomialFlow(*tensors),
+        rng.uniform(-2.0, 2.0, 3),
+        rotation.random_quaternions(1, rng)[0],
+        rng.standard_normal(3),
+        rng.standard_normal(3),
+    )
+
+
+def _moved(scene: Scene, turn: Array) -> Scene:
+    """The scene carried by an orthogonal matrix, which may be a reflection."""
+    axis = turn @ rotation.axis(scene.quaternion)
+    hand = np.linalg.det(turn)
+    return replace(
+        scene,
+        flow=scene.flow.rotated(turn),
+        position=turn @ scene.position,
+        # The body is one of revolution: any quaternion with this axis is the same body.
+        quaternion=rotation.from_axis(axis),
+        velocity=turn @ scene.velocity,
+        angular_velocity=hand * (turn @ scene.angular_velocity),
+    )
+
+
+def _carrier(turn: Array) -> Callable[[Array], Array]:
+    """How velocity, angular velocity, force and torque follow a matrix: the axial ones by hand."""
+    hand = np.array([1.0, np.linalg.det(turn), 1.0, np.linalg.det(turn)])
+    return lambda motion: hand[:, None] * (motion @ turn.T)
+
+
+def rotated(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """The whole scene turned."""
+    turn = rotation.matrix(rotation.random_quaternions(1, rng)[0])
+    return _moved(scene, turn), _carrier(turn)
+
+
+def mirrored(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """The whole scene in a mirror."""
+    normal = rotation.random_axes(1, rng)[0]
+    mirror = np.eye(3) - 2.0 * np.outer(normal, normal)
+    return _moved(scene, mirror), _carrier(mirror)
+
+
+def relabelled(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """The coordinate axes named and directed anew."""
+    matrix = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
+    return _moved(scene, matrix), _carrier(matrix)
+
+
+def reversed_flow(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """Flow and motion of the body with the other sign."""
+    other = replace(
+        scene,
+        flow=scene.flow.scaled(-1.0),
+        velocity=-scene.velocity,
+        angular_velocity=-scene.angular_velocity,
+    )
+    return other, lambda motion: -motion
+
+
+def reversed_axis(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """The body turned end over end and about its axis: it is the same body."""
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    spin = np.array([math.cos(angle), 0.0, 0.0, math.sin(angle)])
+    flipped = rotation.multiply(scene.quaternion, [0.0, 1.0, 0.0, 0.0])
+    return replace(scene, quaternion=rotation.multiply(flipped, spin)), lambda motion: motion
+
+
+def displaced(scene: Scene, rng: np.random.Generator) -> tuple[Scene, Callable[[Array], Array]]:
+    """Flow and body moved together."""
+    step = rng.uniform(-3.0, 3.0, 3)
+    moved = replace(scene, flow=scene.flow.shifted(step), position=scene.position + step)
+    return moved, lambda motion: motion
+
+
+SYMMETRIES = {
+    "rotation": rotated,
+    "mirror": mirrored,
+    "axes relabelled": relabelled,
+    "sign": reversed_flow,
+    "body turned over": reversed_axis,
+    "displacement": displaced,
+}
