@@ -98,7 +98,8 @@ class Trajectory:
 
     times (T,), states (T, n_bodies, n_state); both empty when chunks were streamed instead.
     finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
-    last sample is then that instant. The record of the integration is in `checkpoint`.
+    last sample is then that instant. refusal: what the flow said where it let no step through; it
+    ends the run as well. The record of the integration is in `checkpoint`.
     """
 
     times: Array
@@ -106,6 +107,7 @@ class Trajectory:
     checkpoint: Checkpoint
     finished: bool
     stopped: bool = False
+    refusal: str = ""
 
     @property
     def method(self) -> str:
@@ -190,7 +192,8 @@ def integrate(
     override it.
     on_chunk receives the samples in pieces of about `chunk_samples` (and at least every
     `chunk_steps` steps or `chunk_time` a piece, possibly without samples) and they are not kept.
-    observe is called after every step and may return an instant of it at which the run ends.
+    observe is called after every step and may return an instant of it at which the run ends; with
+    it, a flow that refuses to be evaluated (FlowError) ends the run instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
     Raises ConvergenceError when a step cannot be completed.
     """
@@ -211,6 +214,7 @@ def integrate(
         checkpoint=run.checkpoint,
         finished=finished,
         stopped=run.stopped,
+        refusal=run.refusal,
     )
 
 
@@ -228,7 +232,7 @@ class _Run:
         longest_step: float | None,
     ) -> None:
         self.equations, self.checkpoint, self.times = equations, checkpoint, times
-        self.stopped, self._longest = False, longest_step
+        self.stopped, self.refusal, self._longest = False, "", longest_step
         self.counter = _Counter(checkpoint.evaluations, checkpoint.jacobians)
         self._prefix, self._end = prefix, float(times[-1])
         self._guide = _Guide(equations, checkpoint, self._end, tolerance)
@@ -322,8 +326,12 @@ class _Run:
         def callback_block(ts: Any, t: float, state: Any, rate: Any) -> None:
             counter.evaluations += 1
             try:
-                function(t, self._componentwise(state.getArray(readonly=1)), out)
-                rate.setArray(out.T.ravel() if self._bodywise else out)
+                y = self._componentwise(state.getArray(readonly=1))
+                if self._bodywise:
+                    function(t, y, out)
+                    rate.setArray(out.T.ravel())
+                else:  # in place: a copy would cost as much as a stage's vector operation
+                    function(t, y, rate.getArray().reshape(out.shape))
             except BaseException as failure:
                 counter.failure = failure
                 raise
@@ -452,11 +460,17 @@ class _Run:
             if interrupted is not None and interrupted():
                 return False
             before, start = t, self._vector.getArray(readonly=1).copy()
-            self._step()
-            t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
             halt = None
-            if observe is not None:
-                halt = observe(self._observed(before, start, t))
+            try:
+                self._step()
+                t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
+                if observe is not None:
+                    halt = observe(self._observed(before, start, t))
+            except FlowError as refusal:
+                if observe is None:
+                    raise
+                t, halt, self.refusal = before, before, str(refusal)
+                self._vector.setArray(start)
             reach = t if halt is None else halt
             while index < len(times) and times[index] <= reach:
                 samples.append(self._sample(self._state_at(before, start, t, times[index])))
