@@ -43,6 +43,18 @@ class ConvergenceError(QbxStokesError):
     """A solver or integrator stopped before it reached the tolerance that was asked for."""
 
 
+class Interrupted(QbxStokesError):
+    """The run was stopped by a signal; the exit status is that of a shell, 128 + signal."""
+
+    def __init__(self, message: str, signal: int) -> None:
+        super().__init__(message, signal)
+        self.message, self.exit_status = message, 128 + signal
+
+    def __str__(self) -> str:
+        """The message alone."""
+        return self.message
+
+
 class OutputError(QbxStokesError):
     """A result could not be written: the disk is full, say."""
 

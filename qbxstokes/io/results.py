@@ -82,6 +82,11 @@ def numbered(path: Path) -> Iterator[Path]:
         yield path.with_name(f"{path.stem}-{number}{path.suffix}")
 
 
+def parts_of(path: Path) -> Path:
+    """The working folder of the run whose result is to be `path`."""
+    return path.with_name(f"{path.name}.parts")
+
+
 def free_name(path: Path) -> Path:
     """`path` where nothing is there yet, else the first numbered name that is free."""
     return next(name for name in numbered(path) if not os.path.lexists(name))

@@ -39,6 +39,7 @@ from qbxstokes.io.results import (
     Field,
     write_tree,
 )
+from qbxstokes.io.results import parts_of as parts_of
 
 if TYPE_CHECKING:
     import h5py
@@ -98,11 +99,6 @@ class Committed:
     failed: dict[int, dict[int, str]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
     run: int = 0
-
-
-def parts_of(path: Path) -> Path:
-    """The working folder of the sweep whose result is to be `path`."""
-    return path.with_name(f"{path.name}.parts")
 
 
 def create(
