@@ -22,7 +22,7 @@ from typing import Any
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.parallel import on_root
 from qbxstokes.app.plan import result_path
-from qbxstokes.app.report import WIDTH, Rows, duration, headline, render
+from qbxstokes.app.report import WIDTH, Rows, block, duration, headline, render
 from qbxstokes.config.load import LoadedCase, nearest
 from qbxstokes.config.tabulate import Tables
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
@@ -152,13 +152,13 @@ def _compute(
                 maker: Maker = import_module(module).tables
                 try:
                     for table in maker(Work(section, ranks, say)):
+                        if speak:  # the provenance, the same for all, comes at the end
+                            print(f"\n{table.to_text(WIDTH)}", flush=True)
                         table.provenance = made_by(record, loaded)
                         made.append(table)
                         table.write_hdf5(writer.file)
                         files += _beside(plan.output, section, table)
                         failures += [f"{task} {reason}" for reason in failed_rows(table)]
-                        if speak:
-                            print(f"\n{table.to_text(WIDTH)}", flush=True)
                 except QbxStokesError as error:
                     failures.append(f"{task} {name}: {error}")
                 except Exception as error:  # the other tables are still wanted
@@ -175,7 +175,7 @@ def _compute(
         tables = [json_table(table) for table in made]
         print(json.dumps({**summary, "result": str(result), "tables": tables}, indent=2))
     elif speak:
-        print(f"\n{_closing(summary, result)}")
+        print(f"\n{_closing(summary, result, made_by(record, loaded))}")
     return failures
 
 
@@ -239,17 +239,13 @@ def explain_tables(loaded: LoadedCase, plan: TablesPlan) -> str:
     return render(f"Plan: {loaded.case.title or loaded.case.task}", str(loaded.path), blocks)
 
 
-def _closing(summary: dict[str, Any], result: Path) -> str:
+def _closing(summary: dict[str, Any], result: Path, made: dict[str, str]) -> str:
     times = summary["wall_times"]
     spent = ", ".join(f"{name} {duration(value)}" for name, value in times.items())
-    rows: list[tuple[str, str]] = [("file", str(result))]
+    rows = [("file", str(result)), *((f"{name} ", text) for name, text in made.items())]
     if summary["files"]:
-        rows.append(("", f"and {len(summary['files'])} files beside it"))
-    return render(
-        "Done" if not summary["failures"] else f"Done, {len(summary['failures'])} bounds exceeded",
-        "",
-        {"Times": [("", spent)], "Result": rows},
-    )
+        rows.insert(1, ("", f"and {len(summary['files'])} files beside it"))
+    return "\n".join([block("Times", [("", spent)]), block("Result", rows)])
 
 
 def median_time(action: Callable[[], Any], repeats: int) -> float:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 GROUP = "tables"
 _CSV_MARK = "# qbxstokes table, version 1"
+_FOLDED = 12  # a text is not folded narrower than this to keep a table in one piece
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 Value = str | bool | int | float | None
@@ -202,6 +203,8 @@ class Table:
         used = widths[0]
         for index in range(1, len(self.columns)):
             needed = 2 + widths[index]
+            if index == len(self.columns) - 1 and self._folds(index):
+                needed = 2 + min(widths[index], max(_FOLDED, width - used - 2))
             if used + needed > width and len(parts[-1]) > 1:
                 parts.append([0])
                 used = widths[0]
@@ -209,15 +212,21 @@ class Table:
             used += needed
         return parts
 
+    def _folds(self, index: int) -> bool:
+        """Whether the column holds texts, which can be folded."""
+        return not _is_numeric(self[self.columns[index].name])
+
     def _block(self, cells: list[list[str]], indices: list[int], width: int) -> str:
         widths = self._widths(cells)
         numeric = [_is_numeric(self[column.name]) for column in self.columns]
         excess = sum(widths[i] for i in indices) + 2 * (len(indices) - 1) - width
-        if excess > 0:  # fold the widest text
+        if excess > 0:  # fold the last column if that helps, or the widest text
             texts = [i for i in indices if not numeric[i]]
             if texts:
-                widest = max(texts, key=lambda i: widths[i])
-                widths[widest] = max(8, widths[widest] - excess)
+                last = indices[-1]
+                enough = last in texts and widths[last] - excess >= _FOLDED
+                folded = last if enough else max(texts, key=lambda i: widths[i])
+                widths[folded] = max(8, widths[folded] - excess)
         heads = self._heads()
 
         def line(texts: Sequence[str]) -> str:
@@ -229,12 +238,12 @@ class Table:
         lines = [line([heads[i][j] for i in indices]) for j in range(len(heads[0]))]
         lines.append(line(["-" * widths[i] for i in indices]))
         for row in cells:
-            folded = [
+            entries = [
                 textwrap.wrap(row[i], widths[i]) or [""] if not numeric[i] else [row[i]]
                 for i in indices
             ]
-            for j in range(max(len(parts) for parts in folded)):
-                lines.append(line([parts[j] if j < len(parts) else "" for parts in folded]))
+            for j in range(max(len(parts) for parts in entries)):
+                lines.append(line([parts[j] if j < len(parts) else "" for parts in entries]))
         return "\n".join(lines)
 
     def to_markdown(self) -> str:
