@@ -140,6 +140,10 @@ def run_field(
         disturbance = around.disturbance
         velocity = around.rotation @ disturbance.velocity
         spin = around.rotation @ disturbance.angular_velocity
+        # On the body, hence opposite to those on the fluid; without negative zeros.
+        force, torque = (
+            0.0 - around.rotation @ vector for vector in (disturbance.force, disturbance.torque)
+        )
         writer.append(
             {
                 "time": np.zeros(1),
@@ -148,8 +152,8 @@ def run_field(
                 "axis": rotation.axis(plan.quaternion)[None],
                 "velocity": velocity[None],
                 "angular_velocity": spin[None],
-                "force": -(around.rotation @ disturbance.force)[None],
-                "torque": -(around.rotation @ disturbance.torque)[None],
+                "force": force[None],
+                "torque": torque[None],
             }
         )
         if section.tracers is not None:
@@ -164,8 +168,8 @@ def run_field(
             **facts,
             "velocity": velocity,
             "angular_velocity": spin,
-            "force": -(around.rotation @ disturbance.force),
-            "torque": -(around.rotation @ disturbance.torque),
+            "force": force,
+            "torque": torque,
             "errors": errors,
             "largest_error": max(errors.values()),
             "wall_times": dict(clock.parts),
@@ -318,7 +322,7 @@ class FieldEvaluation:
         Returns on rank 0 what the summary says: errors, points by source, iterations.
         """
         section = self.section
-        names = list(section.quantities)
+        names: list[str] = list(section.quantities)
         group = None
         if comm.rank == 0:
             times = np.array([instant.time for instant in instants])

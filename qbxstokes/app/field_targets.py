@@ -171,7 +171,7 @@ def _listed(loaded: LoadedCase, section: Points) -> Targets:
 
 def _read_csv(path: Path) -> Array:
     """Three numbers a line, separated by commas or blanks; a first line of words is skipped."""
-    rows = []
+    rows: list[list[float]] = []
     with path.open(encoding="utf-8-sig") as stream:
         for number, line in enumerate(stream, 1):
             words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()

@@ -31,7 +31,7 @@ def to_state(points: Array, aspect_ratio: float) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         state = np.concatenate([np.log(level), scaled / radius], axis=-1)
     state[~(level[:, 0] > 0.0)] = np.nan
-    return state
+    return np.asarray(state)
 
 
 def to_points(state: Array, aspect_ratio: float) -> Array:
@@ -66,7 +66,8 @@ def carried_rate(
     if unit_speed:
         speed = np.linalg.norm(u, axis=-1, keepdims=True)
         return state_rate(raised, u / np.where(speed > 0.0, speed, 1.0), aspect_ratio)
-    return state_rate(raised, u, aspect_ratio) * np.exp(np.minimum(level - _FLOOR, 0.0))
+    slower = np.exp(np.minimum(level - _FLOOR, 0.0))
+    return np.asarray(state_rate(raised, u, aspect_ratio) * slower)
 
 
 def integrate_lines(

@@ -33,7 +33,7 @@ def export(result: h5py.File, path: Path) -> Path:
     with h5py.File(path, "w", libver=("earliest", "v110")) as file:
         root = _typed(file, "VTKHDF", "PartitionedDataSetCollection")
         assembly = root.create_group("Assembly", track_order=True)
-        writers = []
+        writers: list[tuple[str, h5py.Group, _Block]] = []
         for name, inner in group.items():
             if not isinstance(inner, h5py.Group):
                 continue

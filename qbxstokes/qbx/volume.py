@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.qbx.exterior import SURFACE_MARGIN
 from qbxstokes.qbx.modes import to_modes
 
 Array = NDArray[np.float64]
@@ -57,51 +59,81 @@ class LayerPotentials:
         NaN and -1 inside the body. method: use this one for all targets instead of choosing.
         tolerance: relative to the size of the density.
         """
-        from qbxstokes.qbx.volume_kernel import potentials
-
         points = np.atleast_2d(np.asarray(points, dtype=float))
-        grid, k = self.grid, self.grid.spheroid.aspect_ratio
-        modes = to_modes(self.density, grid.n_theta, grid.n_phi).reshape(-1, 3, grid.n_theta)
-        modes = modes[: (grid.n_phi + 1) // 2].copy()
-        modes[1:] *= 2.0
-        rho, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+        k, modes = self.grid.spheroid.aspect_ratio, self._modes
         out = np.full((len(points), 10), np.nan)
         used = np.full(len(points), -1, dtype=np.int64)
-        for i, (r, z, phi) in enumerate(zip(rho, points[:, 2], azimuth, strict=True)):
-            if not r * r / (k * k) + z * z >= 1.0 - 1e-12:
+        for i, point in enumerate(points):
+            r, z = math.hypot(point[0], point[1]), float(point[2])
+            if not r * r / (k * k) + z * z >= 1.0 - SURFACE_MARGIN:
                 continue
             theta, distance = nearest(k, r, z)
-            radius = self.radius_factor * float(grid.spheroid.admissible_radius(theta))
+            radius = self.radius_factor * float(self.grid.spheroid.admissible_radius(theta))
             chosen = method or self._choose(r, z, distance, radius, tolerance, len(modes))
             used[i] = METHODS.index(chosen)
             rule, order = self._rule(chosen, r, z, theta, distance, radius, tolerance, len(modes))
-            c, s = math.cos(phi), math.sin(phi)
-            turned = modes * np.exp(1j * np.arange(len(modes)) * phi)[:, None, None]
-            a = self.weight
-            weight = np.array(
-                [
-                    *(c * a[0] + s * a[1], c * a[1] - s * a[0], a[2]),
-                    *(c * a[3] + s * a[4], c * a[4] - s * a[3], a[5]),
-                ]
-            )
-            result = np.zeros(10)
-            potentials(
-                k,
-                np.array([r, z]),
-                np.array([k * math.sin(theta), math.cos(theta)]),
-                distance,
-                radius,
-                order,
-                *rule,
-                grid.theta,
-                grid.barycentric,
-                grid.nodes == "cosine",
-                turned,
-                weight,
-                result,
-            )
-            out[i] = _turn(result, c, s)
+            out[i] = self._sum(point, (theta, distance), radius, order, rule)
         return out[:, :3], out[:, 3], out[:, 4:], used
+
+    def by_rule(self, points: Array, rule: tuple[NDArray[Any], ...]) -> Array:
+        """Velocity (N, 3) at points outside by the plain kernel on one source rule for all."""
+        out = np.empty((len(points), 10))
+        for i, point in enumerate(points):
+            foot = nearest(
+                self.grid.spheroid.aspect_ratio, math.hypot(point[0], point[1]), float(point[2])
+            )
+            out[i] = self._sum(point, foot, 0.0, -1, rule)
+        return out[:, :3]
+
+    @cached_property
+    def _modes(self) -> NDArray[np.complex128]:
+        """Modes (n_modes, 3, n_theta) whose real part is the density."""
+        grid = self.grid
+        modes = to_modes(self.density, grid.n_theta, grid.n_phi).reshape(-1, 3, grid.n_theta)
+        modes = modes[: (grid.n_phi + 1) // 2].copy()
+        modes[1:] *= 2.0
+        return modes
+
+    def _sum(
+        self,
+        point: Array,
+        foot: tuple[float, float],
+        radius: float,
+        order: int,
+        rule: tuple[NDArray[Any], ...],
+    ) -> Array:
+        """Velocity, pressure and stress (10,) at a point whose foot is (theta, distance)."""
+        from qbxstokes.qbx.volume_kernel import potentials
+
+        grid, (theta, distance) = self.grid, foot
+        k = grid.spheroid.aspect_ratio
+        rho, phi = math.hypot(point[0], point[1]), math.atan2(point[1], point[0])
+        c, s = math.cos(phi), math.sin(phi)
+        turn = np.exp(1j * np.arange(len(self._modes)) * phi)
+        a = self.weight
+        weight = np.array(
+            [
+                *(c * a[0] + s * a[1], c * a[1] - s * a[0], a[2]),
+                *(c * a[3] + s * a[4], c * a[4] - s * a[3], a[5]),
+            ]
+        )
+        result = np.zeros(10)
+        potentials(
+            k,
+            np.array([rho, point[2]]),
+            np.array([k * math.sin(theta), math.cos(theta)]),
+            distance,
+            radius,
+            order,
+            *rule,
+            grid.theta,
+            grid.barycentric,
+            grid.nodes == "cosine",
+            self._modes * turn[:, None, None],
+            weight,
+            result,
+        )
+        return _turn(result, c, s)
 
     def plain_nodes(self, rho: float, z: float, tolerance: float, n_modes: int) -> tuple[int, int]:
         """Nodes in theta and phi that plain quadrature needs at a target (rho, z).
