@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.app.loads import loads_and_constraints
 from qbxstokes.app.plan import orbit_axis, start_quaternion
+from qbxstokes.app.quantities import BASIC, quantities, shape_of
 from qbxstokes.app.scenes import STOKES, Scene
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.config.sweep import Key
@@ -20,12 +22,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc.stepper import Trajectory, integrate
-from qbxstokes.reference.jeffery import orbit_constant
 
 Array = NDArray[np.float64]
-
-# Samples are turned into quantities in pieces of about this many, which stay in the cache.
-_PIECE = 4096
 
 # Columns of the table after the swept values: name -> (units, description).
 SUMMARY: dict[str, tuple[str, str]] = {
@@ -62,7 +60,6 @@ SUMMARY: dict[str, tuple[str, str]] = {
     "error_estimate": ("1", "error accepted in the integration, and the body model's over time"),
     "wall_time": ("s", "wall time of its block over the number of trajectories in it"),
 }
-_NEEDED = ("position", "axis", "velocity", "angular_velocity")
 
 
 @dataclass
@@ -176,16 +173,12 @@ def compute_block(
     times = scene.plan.times
     result = BlockResult(
         {name: np.full(n, np.nan) for name in SUMMARY},
-        {name: np.full((n, len(times), *_shape(name)), np.nan) for name in fields},
+        {name: np.full((n, len(times), *shape_of(name)), np.nan) for name in fields},
         times,
     )
     sound = _sound(scene, starts, result)
     _compute(scene, model, provider, starts, sound, discard, poke, result)
     return result
-
-
-def _shape(name: str) -> tuple[int, ...]:
-    return () if name == "orbit_constant" else (4,) if name == "orientation" else (3,)
 
 
 def _sound(scene: Scene, starts: Starts, result: BlockResult) -> NDArray[np.intp]:
@@ -221,7 +214,10 @@ def _compute(
     assert case.time is not None
     some = starts.at(chosen)
     try:
-        equations = RigidBodyEquations(model, provider, some.stokes_number, len(chosen))
+        loads, constraints = loads_and_constraints(scene.loaded, float(result.times[-1]))
+        equations = RigidBodyEquations(
+            model, provider, some.stokes_number, len(chosen), loads, constraints
+        )
         initial = equations.initial_state(
             some.position, some.quaternion, some.velocity, some.angular_velocity
         )
@@ -245,14 +241,13 @@ def _compute(
         return
     result.steps += trajectory.steps * len(chosen)
     result.evaluations += trajectory.evaluations * len(chosen)
-    _summarise(scene, equations, provider, trajectory, chosen, discard, result)
+    _summarise(scene, equations, trajectory, chosen, discard, result)
     result.summary["wall_time"][chosen] = (clock.perf_counter() - begin) / len(chosen)
 
 
 def _summarise(
     scene: Scene,
     equations: RigidBodyEquations,
-    provider: Any,
     trajectory: Trajectory,
     chosen: NDArray[np.intp],
     discard: float,
@@ -261,8 +256,8 @@ def _summarise(
     """Quantities, averages and final states of an integrated block."""
     case, plan = scene.loaded.case, scene.plan
     steady = scene.loaded.flow.steady
-    wanted = {*_NEEDED, *result.quantities}
-    samples = quantities(equations, provider, result.times, trajectory.states, steady, wanted)
+    wanted = {*BASIC, *result.quantities}
+    samples = quantities(equations, result.times, trajectory.states, steady, wanted)
     for name, array in result.quantities.items():
         array[chosen] = samples[name].swapaxes(0, 1)
     frame = ShearFrame.of(scene.loaded.flow.gradient(plan.position))
@@ -294,50 +289,3 @@ def _summarise(
     table["end"][chosen] = horizon
     table["steps"][chosen] = trajectory.steps
     table["rhs_evaluations"][chosen] = trajectory.evaluations
-
-
-def quantities(
-    equations: RigidBodyEquations,
-    provider: Any,
-    times: Array,
-    states: Array,
-    steady: bool,
-    wanted: set[str],
-) -> dict[str, Array]:
-    """The wanted quantities (T, n, ...) from the states (T, n, n_state) at the times (T,)."""
-    samples, n = states.shape[:2]
-    together = max(1, _PIECE // n) if steady else 1
-    loads = {"force", "torque"} & wanted
-    results: dict[str, Array] = {
-        name: np.empty((samples, n, *_shape(name))) for name in wanted | set(_NEEDED)
-    }
-    many = equations
-    for start in range(0, samples, together):
-        piece = slice(start, min(start + together, samples))
-        count = piece.stop - piece.start
-        y = states[piece].reshape(count * n, -1)
-        if many.n_bodies != len(y):
-            stokes = np.tile(equations.stokes_number, count)
-            many = RigidBodyEquations(equations.model, provider, stokes, len(y))
-        t = float(times[start])
-        orientation = rotation.normalize(y[:, 3:7])
-        axis = rotation.axis(orientation)
-        velocity, spin = many.velocities(t, y)
-        found = {
-            "position": y[:, 0:3],
-            "axis": axis,
-            "velocity": velocity,
-            "angular_velocity": spin,
-        }
-        if "orientation" in wanted:
-            found["orientation"] = orientation
-        if "euler_angles" in wanted:
-            found["euler_angles"] = rotation.to_euler(orientation)
-        if "orbit_constant" in wanted:
-            found["orbit_constant"] = orbit_constant(equations.model.aspect_ratio, axis)
-        if loads:
-            found["force"], found["torque"] = many.force_torque(t, y)
-        for name, values in found.items():
-            if name in results:
-                results[name][piece] = values.reshape(count, n, *_shape(name))
-    return results

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,19 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.app.body import form_hydrodynamics
+from qbxstokes.app.body import Hydrodynamic, form_hydrodynamics
 from qbxstokes.app.clock import Clock
-from qbxstokes.app.compare import Comparison, compare
+from qbxstokes.app.compare import Comparison, compare, shear_rate
+from qbxstokes.app.interrupt import Interruption
+from qbxstokes.app.loads import loads_and_constraints
 from qbxstokes.app.plan import Plan
+from qbxstokes.app.recording import Recording
 from qbxstokes.app.rows import RowTeam
+from qbxstokes.app.watch import build_events, events_summary
 from qbxstokes.config.load import LoadedCase
+from qbxstokes.errors import ConvergenceError, Interrupted
 from qbxstokes.geometry import rotation
 from qbxstokes.io.cache import Cache
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.petsc.stepper import integrate
+from qbxstokes.motion.events import Events
+from qbxstokes.petsc.stepper import Trajectory, integrate
 from qbxstokes.qbx.operator import layer_rows
-from qbxstokes.reference.jeffery import orbit_constant
 
 Array = NDArray[np.float64]
 
@@ -31,52 +37,146 @@ def run_motion(
     plan: Plan,
     clock: Clock,
     provenance: Mapping[str, Any],
-    overwrite: bool,
+    recording: Recording,
+    interruption: Interruption,
     team: RowTeam | None = None,
     cache: Cache | None = None,
 ) -> dict[str, Any]:
     """Compute the motion on this process, write the result file, and return the summary.
 
-    team: the ranks that share the set-up. cache: where operators are kept.
+    team: the ranks that share the set-up. cache: where operators are kept. Raises Interrupted
+    where a signal asks for it, after what there is has been written and made safe.
     """
     case = loaded.case
     assert case.time is not None
     with clock.part("set-up"):
+        loads, constraints = loads_and_constraints(loaded, float(plan.times[-1]))
         body = form_hydrodynamics(loaded, plan, team or layer_rows, cache)
         if team is not None:
             team.dismiss()
-    start = case.start
-    equations = RigidBodyEquations(body.model, body.provider, case.body.stokes_number)
+    start, stokes = case.start, case.body.stokes_number
+    equations = RigidBodyEquations(
+        body.model, body.provider, stokes, loads=loads, constraints=constraints
+    )
     initial = equations.initial_state(
         plan.position,
         plan.quaternion,
         None if start.velocity == "with_flow" else start.velocity,
         None if start.angular_velocity == "with_flow" else start.angular_velocity,
     )
-    with clock.part("motion"):
-        trajectory = integrate(equations, initial, plan.times, case.time.tolerance)
-    with clock.part("quantities"):
-        states = trajectory.states[:, 0, :]
-        samples = quantities(equations, body.provider, plan.times, states, loaded.flow.steady)
-        v0, w0 = equations.velocities(0.0, initial)
-        known = {
-            "start_position": plan.position,
-            "start_quaternion": plan.quaternion,
-            "start_axis": rotation.axis(plan.quaternion),
-            "start_velocity": v0[0],
-            "start_angular_velocity": w0[0],
-        }
+    events = build_events(loaded, plan, equations, initial)
+    try:
+        with clock.part("motion"):
+            events.begin(0.0, initial)
+            receive = recording.receiver(equations, events)
+            interruption.listening = True
+            trajectory = integrate(
+                equations,
+                recording.start or initial,
+                plan.times,
+                case.time.tolerance,
+                on_chunk=receive,
+                interrupted=interruption.asked,
+                observe=events,
+                longest_step=None if equations.steady else float(plan.times[-1]) / 50.0,
+                **recording.limits,
+            )
+            if trajectory.refusal:
+                events.ended = ("met_singularity", trajectory.refusal)
+    except ConvergenceError:
+        recording.journal.close()
+        raise
+    if not trajectory.finished:
+        recording.save()
+    summary = _facts(loaded, plan, body, equations, trajectory, events, recording)
+    replace = recording.overwrite or recording.replaces(recording.target)
+    record = {**provenance, "run": recording.run}
+    with ResultWriter(recording.target, case.task, record, replace) as writer:
+        _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial)
+    if case.field is not None and trajectory.finished:
+        from qbxstokes.app.field import draw_pictures
+
+        summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
+    recording.journal.close(remove=trajectory.finished)
+    if not trajectory.finished:
+        raise _interrupted(loaded, recording, summary, interruption.signal)
+    summary["wall_times"] = {**clock.parts, "total": clock.total}
+    return summary
+
+
+def _conclude(
+    loaded: LoadedCase,
+    plan: Plan,
+    clock: Clock,
+    recording: Recording,
+    writer: ResultWriter,
+    summary: dict[str, Any],
+    body: Hydrodynamic,
+    equations: RigidBodyEquations,
+    initial: Array,
+) -> None:
+    """Samples, comparison, field and summary into the result file."""
+    case = loaded.case
+    with clock.part("output"):
+        samples = recording.write(writer, plan.fields)
+    times = samples["time"]
+    summary["samples"] = recording.samples
+    if len(times):
+        for name in ("position", "orientation", "axis"):
+            summary[f"final_{name}"] = samples[name][-1]
+        summary["end"] = float(times[-1])
+    conserved = not (case.body.stokes_number or case.forces.given or case.constraints.given)
+    if conserved and shear_rate(loaded.flow) is not None:
+        summary["orbit_constant_drift"] = float(samples["largest_orbit_drift"])
     comparison = Comparison()
-    if case.compare.reference != "none":
+    if case.compare.reference != "none" and summary["complete"] and len(times):
         with clock.part("comparison"):
-            comparison = compare(case, loaded.flow, body.model, plan.times, {**samples, **known})
-    summary = {
+            v0, w0 = equations.velocities(0.0, initial)
+            known = {
+                "start_position": plan.position,
+                "start_quaternion": plan.quaternion,
+                "start_axis": rotation.axis(plan.quaternion),
+                "start_velocity": v0[0],
+                "start_angular_velocity": w0[0],
+            }
+            held = loads_and_constraints(loaded, float(plan.times[-1]))
+            comparison = compare(case, loaded.flow, body.model, times, {**samples, **known}, *held)
+    summary |= {
+        "errors": comparison.errors,
+        "references": comparison.references,
+        "note": comparison.note,
+        "largest_error": comparison.largest,
+    }
+    if case.field is not None and summary["complete"]:
+        from qbxstokes.app.field import export_field, field_of_motion
+
+        summary["field"] = field_of_motion(
+            loaded, times, samples, clock, writer.file, equations, initial
+        )
+        summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.target)
+    with clock.part("output"):
+        summary["wall_times"] = dict(clock.parts)
+        summary["result"] = str(writer.finish(summary))
+
+
+def _facts(
+    loaded: LoadedCase,
+    plan: Plan,
+    body: Hydrodynamic,
+    equations: RigidBodyEquations,
+    trajectory: Trajectory,
+    events: Events,
+    recording: Recording,
+) -> dict[str, Any]:
+    """What the summary says of the computation itself."""
+    case = loaded.case
+    return {
         "case": str(loaded.path),
         "title": case.title,
         "task": case.task,
-        "end": float(plan.times[-1]),
+        "complete": trajectory.finished,
+        "resumed_at": recording.resumed_at,
         "jeffery_period": plan.period,
-        "samples": len(plan.times),
         "hydrodynamics": {
             **body.facts,
             **body.solves(),
@@ -84,6 +184,7 @@ def run_motion(
         },
         "cache_problems": body.problems,
         "resistance": vars(body.model.resistance),
+        "relaxation_times": relaxation_times(equations),
         "integration": {
             "method": trajectory.method,
             "steps": trajectory.steps,
@@ -93,62 +194,30 @@ def run_motion(
             "local_tolerance": trajectory.local_tolerance,
             "quaternion_norm_drift": trajectory.norm_drift,
         },
-        "errors": comparison.errors,
-        "references": comparison.references,
-        "note": comparison.note,
-        "largest_error": comparison.largest,
+        "events": events_summary(events),
         "skipped": list(plan.skips),
-        "final_position": samples["position"][-1],
-        "final_orientation": samples["orientation"][-1],
-        "final_axis": samples["axis"][-1],
     }
-    replace = overwrite or case.output.overwrite
-    with ResultWriter(plan.output, case.task, provenance, replace) as writer:
-        with clock.part("output"):
-            writer.append({"time": plan.times, **{name: samples[name] for name in plan.fields}})
-        if case.field is not None:
-            from qbxstokes.app.field import export_field, field_of_motion
-
-            summary["field"] = field_of_motion(
-                loaded, plan.times, samples, clock, writer.file, equations, initial
-            )
-            summary["field"]["files"] = export_field(loaded, clock, writer.file, plan.output)
-        with clock.part("output"):
-            summary["wall_times"] = dict(clock.parts)
-            summary["result"] = str(writer.finish(summary))
-    if case.field is not None:
-        from qbxstokes.app.field import draw_pictures
-
-        summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
-    summary["wall_times"] = {**clock.parts, "total": clock.total}
-    return summary
 
 
-def quantities(
-    equations: RigidBodyEquations, provider: Any, times: Array, states: Array, steady: bool
-) -> dict[str, Array]:
-    """Everything a motion file holds, from the states (T, n_state) at the times (T,)."""
-    if steady:
-        # The samples of one body are as many bodies at one instant.
-        many = RigidBodyEquations(equations.model, provider, equations.stokes_number[0], len(times))
-        velocity, spin = many.velocities(0.0, states)
-        force, torque = many.force_torque(0.0, states)
-    else:
-        parts = [
-            [*equations.velocities(t, state[None]), *equations.force_torque(t, state[None])]
-            for t, state in zip(times.tolist(), states, strict=True)
-        ]
-        velocity, spin, force, torque = np.concatenate(parts, axis=1)
-    orientation = rotation.normalize(states[:, 3:7])
-    axis = rotation.axis(orientation)
-    return {
-        "position": states[:, 0:3],
-        "orientation": orientation,
-        "axis": axis,
-        "velocity": velocity,
-        "angular_velocity": spin,
-        "force": force,
-        "torque": torque,
-        "euler_angles": rotation.to_euler(orientation),
-        "orbit_constant": orbit_constant(equations.model.aspect_ratio, axis),
-    }
+def relaxation_times(equations: RigidBodyEquations) -> dict[str, float]:
+    """Time scales on which a body takes up the motion of the fluid, empty for St = 0.
+
+    St Theta/R_t across and along the axis, St J/R_r of the axis and about it.
+    """
+    if equations.massless:
+        return {}
+    names = ("translation_across", "translation_along", "rotation_of_axis", "rotation_about_axis")
+    return dict(zip(names, (1.0 / equations.relaxation_rates[:, 0]).tolist(), strict=True))
+
+
+def _interrupted(
+    loaded: LoadedCase, recording: Recording, summary: Mapping[str, Any], number: int
+) -> Interrupted:
+    name = signal.Signals(number).name
+    if not recording.saved:
+        return Interrupted(f"{name}: stopped before the first checkpoint; start again", number)
+    return Interrupted(
+        f"{name}: stopped at t = {summary.get('end', 0.0):.6g}; {summary['result']} holds what "
+        f"there is, go on with: python -m qbxstokes {loaded.path} --resume",
+        number,
+    )

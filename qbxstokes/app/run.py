@@ -63,8 +63,10 @@ def _run(
 
     with clock.part("import"):
         from qbxstokes.app.body import open_cache
+        from qbxstokes.app.interrupt import Interruption
         from qbxstokes.app.motion import run_motion
         from qbxstokes.app.provenance import provenance
+        from qbxstokes.app.recording import Recording
         from qbxstokes.app.rows import RowTeam, with_team
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
@@ -73,9 +75,17 @@ def _run(
         record = provenance(loaded, PETSc, comm.size, petsc)
         # Options of the solver want to be seen at work.
         cache = open_cache(loaded, options.no_cache or bool(session.solver_options(PETSc)))
-        return run_motion(loaded, plan, clock, record, options.overwrite, team, cache)
+        recording = Recording(
+            loaded,
+            plan,
+            session.stepper_options(PETSc),
+            options.resume,
+            options.overwrite or loaded.case.output.overwrite,
+        )
+        return run_motion(loaded, plan, clock, record, recording, interruption, team, cache)
 
-    summary = on_root(comm, with_team(comm, compute))
+    with Interruption(patient=comm.rank != 0) as interruption:
+        summary = on_root(comm, with_team(comm, compute))
     if comm.rank == 0:
         for problem in summary["cache_problems"]:
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)

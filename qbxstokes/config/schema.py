@@ -14,9 +14,13 @@ from pydantic import BeforeValidator, Field, model_validator
 from qbxstokes.config.base import Section, Text, describe, problem
 from qbxstokes.config.benchmark import Benchmark
 from qbxstokes.config.body import Body
+from qbxstokes.config.checkpoint import Checkpoints
 from qbxstokes.config.compare import Compare
+from qbxstokes.config.constraints import FREE, Constraints
+from qbxstokes.config.events import Events
 from qbxstokes.config.field import FieldSection
 from qbxstokes.config.flow import FlowSection
+from qbxstokes.config.forces import Forces
 from qbxstokes.config.hydrodynamics import Hydrodynamics
 from qbxstokes.config.output import Output
 from qbxstokes.config.start import Start
@@ -55,12 +59,20 @@ class Case(Section):
     body: Body = Field(description="the spheroid")
     flow: FlowSection = Field(description="the background flow")
     start: Start = Field(default=Start(), description="state at time 0")
+    forces: Forces = Field(default=Forces(), description="external force and torque, gravity")
+    constraints: Constraints = Field(
+        default=Constraints(), description="parts of the motion that are held or prescribed"
+    )
     time: Time | None = Field(default=None, description="duration, stored instants, tolerance")
     hydrodynamics: Hydrodynamics = Field(
         default=Hydrodynamics(), description="accuracy and scheme of the integral equation"
     )
     field: FieldSection | None = Field(
         default=None, description="the flow around the body: where, which quantities, how well"
+    )
+    events: Events = Field(default=Events(), description="what is watched for between samples")
+    checkpoint: Checkpoints = Field(
+        default=Checkpoints(), description="how often the run is made safe on disk"
     )
     petsc: Annotated[
         dict[str, PetscValue],
@@ -114,6 +126,7 @@ class Case(Section):
                         (name,),
                     )
         self._check_field_of_motion()
+        self._check_forces()
         if self.body.stokes_number == 0:
             for name in ("velocity", "angular_velocity"):
                 if getattr(self.start, name) != "with_flow":
@@ -141,6 +154,21 @@ class Case(Section):
                 raise problem(
                     f"has no meaning for task: {self.task}", "leave it out", ("field", name)
                 )
+
+    def _check_forces(self) -> None:
+        """Refuse weights without mass, and starts that a constraint leaves no room for."""
+        gravity = self.forces.gravity
+        if gravity is not None and gravity.number is None and self.body.stokes_number == 0:
+            raise problem(
+                "needs a stokes_number > 0",
+                "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight",
+                ("forces", "gravity", "acceleration"),
+            )
+        for bound, moving in (("translation", "velocity"), ("rotation", "angular_velocity")):
+            given = getattr(self.start, moving) != "with_flow"
+            if given and getattr(self.constraints, bound) != FREE:
+                wrong = f"has no meaning with constraints.{bound}"
+                raise problem(wrong, "leave it out", ("start", moving))
 
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.

@@ -224,6 +224,14 @@ class ResultWriter:
                     if not len(data.dims[0]):
                         data.dims[0].attach_scale(scale)
 
+    def append_events(
+        self, name: str, block: Mapping[str, ArrayLike], fields: Mapping[str, Field]
+    ) -> None:
+        """Append rows to the group `events/NAME`: `time` (n,) and quantities (n, ...)."""
+        with self._writing():
+            for key, values in block.items():
+                self._extended(f"events/{name}/{key}", np.asarray(values, float), fields[key])
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Turn what HDF5 and the system report into one OutputError."""

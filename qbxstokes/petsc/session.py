@@ -64,6 +64,16 @@ def solver_options(PETSc: Any) -> list[str]:
     return sorted(name for name in names if name.startswith(("ksp_", "pc_")) and name != ours)
 
 
+def stepper_options(PETSc: Any) -> list[str]:
+    """The options for the time stepper that the user gave, monitors apart, as `name value`."""
+    options = PETSc.Options().getAll()
+    return sorted(
+        f"{name} {value}".strip()
+        for name, value in options.items()
+        if name.startswith(("ts_", "snes_")) and "monitor" not in name and "view" not in name
+    )
+
+
 def unused_options(PETSc: Any) -> list[str]:
     """Names of the options that nothing has asked for.
 
