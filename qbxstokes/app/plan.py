@@ -188,11 +188,15 @@ def _work(case: Case, kind: str, degree: int | None) -> tuple[tuple[str, ...], t
         skips.append("integral equation at every step: free motion is a linear functional")
     if kind != "every_step":
         skips.append("azimuthal modes above 1: they exert neither force nor torque")
+    driven = case.forces.given or case.constraints.given
     if massless:
         needs.append("position and orientation only: 7 equations (massless body)")
-        skips.append("force and torque: zero at every instant on a massless body")
+        if not driven:
+            skips.append("force and torque: zero at every instant on a massless body")
     else:
         needs.append("resistance, velocities and orientation: 13 equations (inertial body)")
+    if driven:
+        needs.append("hydrodynamic force and torque, which loads and constraints call forth")
     if case.compare.reference == "none":
         skips.append("comparison with a reference (as asked)")
     return tuple(needs), tuple(skips)

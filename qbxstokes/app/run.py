@@ -96,6 +96,9 @@ def _run(
             print(json.dumps(plain(summary), indent=2))
         elif speak:
             print(summary_text(loaded, plan, summary))
+        if "ended_by" in summary["events"]:
+            because = summary["events"]["ended_because"]
+            print(f"qbxstokes: ended at t = {summary['end']:.6g}: {because}", file=sys.stderr)
         for name in summary["unused_petsc_options"]:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
     limit = loaded.case.compare.tolerance

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from qbxstokes.app.plan import Plan, result_path
 from qbxstokes.app.report import Rows, duration, error_text, quantity, render, size
+from qbxstokes.config.constraints import FREE, LOCKED
 from qbxstokes.config.load import LoadedCase
+from qbxstokes.config.schema import Case
+
+_NO_DRIFT = 1e-14  # displacements below are rounding
 
 
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
@@ -24,7 +29,38 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     mass = "massless" if stokes == 0 else f"St = {quantity(stokes)}"
     yield "body", f"{shape} spheroid, k = {quantity(k)}, {mass}"
     yield "flow", keys.removeprefix("type ") + degree
+    yield from _driven(case)
     yield "time", f"{end}, {len(plan.times)} samples"
+
+
+def _driven(case: Case) -> Rows:
+    """Loads and constraints, where there are any."""
+    loads = []
+    for name in ("force", "torque", "body_force", "body_torque"):
+        value = getattr(case.forces, name)
+        if value is not None:
+            loads.append(f"{name.replace('_', ' ')} {_vector(value)}")
+    gravity = case.forces.gravity
+    if gravity is not None:
+        net = gravity.net(case.body.stokes_number)
+        loads.append(f"net weight {quantity(net)} x volume along {_vector(gravity.direction)}")
+    if loads:
+        yield "loads", "; ".join(loads)
+    held = [
+        f"{name} {value if value == LOCKED else 'prescribed: ' + _vector(value)}"
+        for name in ("translation", "rotation")
+        if (value := getattr(case.constraints, name)) != FREE
+    ]
+    if held:
+        yield "constraints", "; ".join(held)
+
+
+def _vector(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"table {value['table']}" if "table" in value else "as tabulated"
+    if isinstance(value, str):
+        return value
+    return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
 
 
 def plan_facts(plan: Plan) -> dict[str, Any]:
@@ -74,6 +110,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
         {
             "Scene": scene(loaded, plan),
             "Solved": _solved(summary),
+            "Found": _seen(summary),
             "Skipped": [("", f"- {text}") for text in plan.skips],
             "Errors": errors,
             "Times": [("total", duration(times["total"])), ("parts", spent)],
@@ -110,11 +147,42 @@ def _solved(summary: dict[str, Any]) -> Rows:
         "resistance",
         f"{across:.9g} across, {along:.9g} along the axis; rotation {turning:.9g}, {spinning:.9g}",
     )
+    layer = summary["relaxation_times"]
+    if layer:
+        a, b, c, d = (quantity(value) for value in layer.values())
+        yield "relaxation times", f"{a} across, {b} along; axis {c}, spin {d}"
+    if summary["resumed_at"] is not None:
+        yield "resumed", f"from the checkpoint at t = {quantity(summary['resumed_at'])}"
     yield (
         "motion",
         f"TS {steps['method']}: {steps['steps']} steps, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+
+
+def _seen(summary: dict[str, Any]) -> Rows:
+    """What was found on the way: events, and what they say of periods and drift."""
+    found = summary["events"]
+    counts = [f"{count} {name.replace('_', ' ')}" for name, count in found["counts"].items()]
+    if counts:
+        yield "events", ", ".join(counts)
+    if "period" in found:
+        turns = f"mean of {found['turns']} whole turns" if found["turns"] > 1 else "one whole turn"
+        yield "period", f"{found['period']:.12g} ({turns})"
+        drift = found["drift_per_period"]
+        if any(abs(part) > _NO_DRIFT for part in drift):
+            yield "drift per period", "(" + ", ".join(quantity(part) for part in drift) + ")"
+        first, last = found["orbit_constant_first"], found["orbit_constant_last"]
+        if isfinite(first) and isfinite(last):
+            yield "orbit constant", f"{first:.9g} to {last:.9g}"
+    if "orbit_constant_drift" in summary:
+        norm = error_text(summary["integration"]["quaternion_norm_drift"])
+        drift = error_text(summary["orbit_constant_drift"])
+        yield "drift of invariants", f"orbit constant {drift}, quaternion norm {norm}"
+    if "steady_at" in found:
+        yield "steady", f"from t = {quantity(found['steady_at'])} on"
+    if "ended_by" in found:
+        yield "ended", f"at t = {quantity(summary['end'])}: {found['ended_because']}"
 
 
 def _short(value: Any) -> str:

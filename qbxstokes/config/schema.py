@@ -146,7 +146,7 @@ class Case(Section):
         if self.task == "field" and tracers is not None and tracers.duration is None:
             key = ("field", "tracers", "duration")
             raise problem("is missing", "task: field needs the end of the paths", key)
-        foreign = ("every", "at")
+        foreign: tuple[str, ...] = ("every", "at")
         if self.task == "motion":
             foreign = ("body", "force", "torque", "velocity", "angular_velocity")
         for name in foreign:
