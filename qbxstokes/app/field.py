@@ -39,7 +39,7 @@ from qbxstokes.io.results import ResultWriter, check_writable, free_name
 Array = NDArray[np.float64]
 
 # Points a rank evaluates and sends at once: what is in memory besides the table.
-BLOCK = 65_536
+BLOCK = 32_768
 # Points of the check that needs no grid.
 _FEW = 6
 
@@ -73,10 +73,6 @@ class Alone:
     """Stands for the communicator of a single rank."""
 
     rank, size = 0, 1
-
-    def gather(self, value: Any, root: int = 0) -> list[Any]:
-        """The value of the only rank."""
-        return [value]
 
 
 def plan_field(loaded: LoadedCase, overwrite: bool) -> FieldPlan:
@@ -404,24 +400,52 @@ class FieldEvaluation:
     def _blocks(
         self, comm: Any, target: Targets, around: FlowAround, names: list[str]
     ) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Blocks of a set of points, evaluated by the ranks in turn; rank 0 gets them all."""
-        block = max(1, min(BLOCK, -(-target.size // comm.size)))
-        whole = list(store.blocks(target.size, block))
-        for first in range(0, len(whole), comm.size):
-            mine = None
-            if first + comm.rank < len(whole):
-                begin, end = whole[first + comm.rank]
-                points = target.in_space(begin, end, around.position, around.rotation)
-                values = around.evaluate(
-                    points, self.section.tolerance, self.section.method, "stress" in names
-                )
-                source = values["source"]
-                kept = {name: values[name] for name in names}
-                kept |= {"points": points, "inside": source == INSIDE}
-                mine = (begin, {**kept, "source": source.astype(np.int8)})
-            for part in comm.gather(mine) or []:
-                if part is not None:
-                    yield part
+        """Blocks of a set of points, evaluated by all ranks; rank 0 gets them all.
+
+        Rank 0 hands out blocks, two ahead to each of the others so that none of them waits, and
+        evaluates one itself whenever no result has arrived.
+        """
+        whole = list(store.blocks(target.size, min(BLOCK, -(-target.size // (4 * comm.size)))))
+
+        def evaluate(number: int) -> tuple[int, dict[str, Any]]:
+            begin, end = whole[number]
+            points = target.in_space(begin, end, around.position, around.rotation)
+            values = around.evaluate(
+                points, self.section.tolerance, self.section.method, "stress" in names
+            )
+            source = values["source"]
+            kept = {name: values[name] for name in names}
+            kept |= {"points": points, "inside": source == INSIDE}
+            return begin, {**kept, "source": source.astype(np.int8)}
+
+        if comm.rank != 0:
+            while (number := comm.recv(source=0)) is not None:
+                comm.send(evaluate(number), dest=0)
+            return
+        left, ahead = iter(range(len(whole))), dict.fromkeys(range(1, comm.size), 0)
+        for rank in [*ahead, *ahead]:
+            number = next(left, None)
+            if number is not None:
+                comm.send(number, dest=rank)
+                ahead[rank] += 1
+        while True:
+            arrived = [rank for rank, count in ahead.items() if count and comm.iprobe(source=rank)]
+            for rank in arrived:
+                part = comm.recv(source=rank)
+                number = next(left, None)
+                if number is None:
+                    ahead[rank] -= 1
+                else:
+                    comm.send(number, dest=rank)
+                yield part
+            if not arrived:
+                number = next(left, None)
+                if number is not None:
+                    yield evaluate(number)
+                elif not any(ahead.values()):
+                    break
+        for rank in ahead:
+            comm.send(None, dest=rank)
 
     def _starts(self, lines: Any, instant: Instant) -> Array:
         """Starting points (N, 3) of lines in space."""
