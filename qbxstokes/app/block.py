@@ -216,7 +216,13 @@ def _compute(
     try:
         loads, constraints = loads_and_constraints(scene.loaded, float(result.times[-1]))
         equations = RigidBodyEquations(
-            model, provider, some.stokes_number, len(chosen), loads, constraints
+            model,
+            provider,
+            some.stokes_number,
+            len(chosen),
+            loads,
+            constraints,
+            inertia=case.body.inertia,
         )
         initial = equations.initial_state(
             some.position, some.quaternion, some.velocity, some.angular_velocity

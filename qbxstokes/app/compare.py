@@ -79,6 +79,8 @@ def compare(
             _jeffery_orbit(found, case, flow, times, samples)
         elif not _chwang_plane(found, case, flow, times, samples):
             found.note = "no closed form for the path in this flow; its velocities are compared"
+    elif case.body.inertia != "both":
+        found.note = f"no reference for inertia of {case.body.inertia} alone"
     elif stiffness(case, times) > _STIFFEST:
         found.note = "reference left out: too stiff for its explicit integration"
     elif polynomial.degree <= 1:
@@ -307,6 +309,7 @@ def _chwang_plane(
     paraboloid = (
         polynomial.degree == 2
         and not (np.any(bare) or np.any(polynomial.value) or np.any(polynomial.gradient_tensor))
+        and not np.any(polynomial.origin)
         and polynomial.hessian[0, 2, 2] == polynomial.hessian[0, 1, 1]
     )
     turn = rotation.matrix(q0)

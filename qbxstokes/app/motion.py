@@ -56,7 +56,12 @@ def run_motion(
             team.dismiss()
     start, stokes = case.start, case.body.stokes_number
     equations = RigidBodyEquations(
-        body.model, body.provider, stokes, loads=loads, constraints=constraints
+        body.model,
+        body.provider,
+        stokes,
+        loads=loads,
+        constraints=constraints,
+        inertia=case.body.inertia,
     )
     initial = equations.initial_state(
         plan.position,

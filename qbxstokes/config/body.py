@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -20,4 +20,8 @@ class Body(Section):
         default=0.0,
         description="St, particle inertia over viscous force; 0 is a massless body",
         examples=[10.0],
+    )
+    inertia: Literal["both", "translation", "rotation"] = Field(
+        default="both",
+        description="inertia of both motions, or of one alone: the other then follows the flow",
     )

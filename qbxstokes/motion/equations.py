@@ -13,7 +13,9 @@ is linear, F = R_t (U - V), so that loads only shift the motion that the drag pu
              St J dW/dt = R_r (Omega + R_r^-1 M_ext - W) - St W x (J W)      (body frame)
 
 (Bagge 2015, eqs. 3.26-3.29.) For k > 0 with this symmetry translation and rotation do not couple
-through drag, so that each may be prescribed while the other stays free.
+through drag, so that each may be prescribed while the other stays free. Likewise the inertia of
+either may be switched off for St > 0: that part then moves as for St = 0, and its V or W stays
+zero, unread.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Vectors = ArrayLike | Callable[[float], ArrayLike]
 Evaluation = Literal["auto", "plain", "compiled"]
+Inertia = Literal["both", "translation", "rotation"]
 
 N_MASSLESS = 7
 N_INERTIAL = 13
@@ -110,7 +113,8 @@ class RigidBodyEquations:
     model: the body model that all share. flow: a polynomial flow (degree <= 3), whose free motion
     follows from the model's Faxen coefficients, or any provider with `free_motion`; a provider
     with `force_torque` is asked for the force itself when St > 0. stokes_number: a number or (n,),
-    all zero or all positive.
+    all zero or all positive. inertia: of translation and rotation "both", or of one of them alone
+    (St > 0); the other follows the flow.
     """
 
     def __init__(
@@ -122,6 +126,7 @@ class RigidBodyEquations:
         loads: Loads | None = None,
         constraints: Constraints | None = None,
         evaluation: Evaluation = "auto",
+        inertia: Inertia = "both",
     ) -> None:
         """Precompute rates and tables. Raises ValueError for mixed or negative Stokes numbers."""
         self.model, self.n_bodies = model, n_bodies
@@ -134,6 +139,10 @@ class RigidBodyEquations:
         self.n_state = N_MASSLESS if self.massless else N_INERTIAL
         self.constraints = constraints or Constraints()
         self.evaluation: Evaluation = evaluation
+        self.inertia: Inertia = inertia
+        self._follow: tuple[float, float] | None = None
+        if inertia != "both" and not self.massless:
+            self._follow = (float(inertia == "rotation"), float(inertia == "translation"))
 
         r = model.resistance
         self._resistance = (
@@ -146,11 +155,14 @@ class RigidBodyEquations:
         spheroid = Spheroid(model.aspect_ratio)
         j1, _, j3 = (float(value) for value in spheroid.inertia)
         self._gyration = (j3 - j1) / j1
-        inertia = np.array([spheroid.volume, spheroid.volume, j1, j3])
+        masses = np.array([spheroid.volume, spheroid.volume, j1, j3])
         with np.errstate(divide="ignore"):
-            self._rates: Array = np.outer(np.array(self._resistance) / inertia, 1.0) / (
+            self._rates: Array = np.outer(np.array(self._resistance) / masses, 1.0) / (
                 self.stokes_number
             )
+        if self._follow is not None:
+            move, turn = self._follow
+            self._rates *= np.array([[1.0 - move], [1.0 - move], [1.0 - turn], [1.0 - turn]])
 
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
@@ -186,6 +198,7 @@ class RigidBodyEquations:
             None if loads is None else Loads(*(tiled(field) for field in vars(loads).values())),
             Constraints(tiled(bound.velocity), tiled(bound.angular_velocity)),
             self.evaluation,
+            self.inertia,
         )
 
     @property
@@ -201,6 +214,8 @@ class RigidBodyEquations:
     @property
     def relaxation_rates(self) -> Array:
         """R/(St inertia), (4, n): translation and rotation, transverse and axial; inf for St = 0.
+
+        Zero for a part whose inertia is switched off.
 
         The inverses are the time scales on which a body takes up the motion of the flow.
         """
@@ -267,7 +282,7 @@ class RigidBodyEquations:
         assert table is not None
         kind = "massless" if self.massless else "inertial"
         run = loops(int(table[0]))[f"{kind}_{loop}"]
-        inertia = () if self.massless else (rates, self._gyration)
+        inertia = () if self.massless else (rates, self._gyration, self._follow)
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads_at(t)
@@ -339,17 +354,24 @@ class RigidBodyEquations:
                 omega[:] = np.asarray(angular_velocity, dtype=np.float64)
             y[:, 7:10] = v
             y[:, 10:13] = rotation.to_body(y[:, 3:7], omega)
+            if self._follow is not None:
+                move, turn = self._follow
+                y[:, 7:10] *= 1.0 - move
+                y[:, 10:13] *= 1.0 - turn
         return y
 
     def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
         """V and Omega (space frame), each (n_bodies, 3), in the states y (n_bodies, n_state)."""
-        if self.massless:
+        motion = np.zeros((self.n_bodies, 6))
+        if self.massless or self._follow is not None:
             driven = self._driven(t, y.T)
             motion = np.stack([np.broadcast_to(u, (self.n_bodies,)) for u in driven], axis=-1)
-            v, omega = motion[:, :3], motion[:, 3:]
-        else:
-            v = y[:, 7:10]
-            omega = rotation.to_space(rotation.normalize(y[:, 3:7]), y[:, 10:13])
+        v, omega = motion[:, :3], motion[:, 3:]
+        if not self.massless:
+            move, turn = self._follow or (0.0, 0.0)
+            v = v if move else y[:, 7:10]
+            if not turn:
+                omega = rotation.to_space(rotation.normalize(y[:, 3:7]), y[:, 10:13])
         prescribed = self.constraints
         return (
             v if prescribed.velocity is None else self._vectors(prescribed.velocity, t),
@@ -408,7 +430,7 @@ class RigidBodyEquations:
         arguments: list[Any] = [*rows, self._flow, self._law, self._mobility, loads]
         if self.massless:
             return kernels.massless(*arguments)
-        arguments += [self._rows(self._rates), self._gyration]
+        arguments += [self._rows(self._rates), self._gyration, self._follow]
         return kernels.inertial(*arguments)
 
     def _free(self, t: float, rows: Any) -> Any:
@@ -464,6 +486,10 @@ class RigidBodyEquations:
             turn = omega if omega is not None else motion[3:6]
             move = v if v is not None else motion[0:3]
             return (*move, *kernels.quaternion_rate_space(*rows[3:7], *turn))
+        if self._follow is not None:
+            moves, turns = self._follow
+            v = tuple(motion[0:3]) if moves and v is None else v
+            omega = tuple(motion[3:6]) if turns and omega is None else omega
         coefficients: list[Any] = [motion, axes, self._rows(self._rates), self._gyration]
         pull = kernels.accelerations(*rows[7:13], *coefficients)
         still = (0.0, 0.0, 0.0)
@@ -512,7 +538,7 @@ def _load_fields(loads: Loads) -> tuple[Vectors, Vectors, Vectors, Vectors]:
 
 
 def pack_table(flow: PolynomialFlow, model: BodyModel) -> Array:
-    """Flow and Faxen coefficients as the kernels' table, (71,): see `kernels.tables`."""
+    """Flow and Faxen coefficients as the kernels' table, (74,): see `kernels.tables`."""
     second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
     third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
     law = model.faxen
@@ -526,5 +552,6 @@ def pack_table(flow: PolynomialFlow, model: BodyModel) -> Array:
             [law.linear],
             law.quadratic,
             law.cubic,
+            flow.origin,
         ]
     )

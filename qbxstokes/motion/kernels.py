@@ -410,8 +410,11 @@ def free_motion(
 ) -> Twist:
     """Free velocity and angular velocity (space frame) in a polynomial flow.
 
-    flow: (degree, first, second, third); law: (linear, quadratic, cubic) Faxen coefficients.
+    flow: (degree, first, second, third, origin), the derivatives taken at the origin; law: (linear,
+    quadratic, cubic) Faxen coefficients.
     """
+    o1, o2, o3 = flow[4]
+    x1, x2, x3 = x1 - o1, x2 - o2, x3 - o3
     if flow[0] <= 1:
         return free_motion_linear(x1, x2, x3, d1, d2, d3, flow, law)
     if flow[0] == 2:
@@ -467,10 +470,13 @@ def inertial(
     loads: Any,
     rates: Any,
     gyration: float,
+    follow: Any,
 ) -> Any:
     """dy/dt of a body with inertia, y = (x, q, V, W): see `accelerations`.
 
-    loads: as in `driven_motion`, or None for none.
+    loads: as in `driven_motion`, or None for none. follow: None, or two factors, 1 for a
+    translation (rotation) without inertia: it moves with `motion` at every instant, and its part
+    of the state, with its `rates`, is zero.
     """
     axes = body_axes(q0, q1, q2, q3)
     motion = free_motion(x1, x2, x3, axes[6], axes[7], axes[8], flow, law)
@@ -478,21 +484,29 @@ def inertial(
         motion = driven_motion(motion, axes, mobility, loads)
     r0, r1, r2, r3 = quaternion_rate_body(q0, q1, q2, q3, w1, w2, w3)
     p1, p2, p3, s1, s2, s3 = accelerations(v1, v2, v3, w1, w2, w3, motion, axes, rates, gyration)
+    if follow is not None:
+        u1, u2, u3, o1, o2, o3 = motion
+        move, turn = follow
+        g0, g1, g2, g3 = quaternion_rate_space(q0, q1, q2, q3, o1, o2, o3)
+        v1, v2, v3 = v1 + move * (u1 - v1), v2 + move * (u2 - v2), v3 + move * (u3 - v3)
+        r0, r1 = r0 + turn * (g0 - r0), r1 + turn * (g1 - r1)
+        r2, r3 = r2 + turn * (g2 - r2), r3 + turn * (g3 - r3)
     return v1, v2, v3, r0, r1, r2, r3, p1, p2, p3, s1, s2, s3
 
 
 # Loops over the bodies of a block, to be compiled (compiled.py). y and dydt: (n_state, n_bodies);
 # table: (71,), the flow and the law as `tables` orders them; mobility: (4,); loads: (12, n_bodies)
-# or None; rates: (4, n_bodies); jacobian: (n_bodies, n_state, n_state). The bodies pass through
-# tiles of fixed size, whose rows the compiler knows not to overlap: it then works on several bodies
-# at once. It may not reorder arithmetic, so that the numbers are those of the plain functions.
+# or None; rates: (4, n_bodies); jacobian: (n_bodies, n_state, n_state); follow: as in `inertial`.
+# The bodies pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
+# works on several bodies at once. It may not reorder arithmetic, so that the numbers are those of
+# the plain functions.
 
 STEP = 1e-100
 TILE = 64
 
 
 def tables(table: Any) -> Any:
-    """The flow (degree, first, second, third) and the law (linear, quadratic, cubic)."""
+    """The flow (degree, first, second, third, origin) and the law (linear, quadratic, cubic)."""
     t = table
     first = (t[1], t[2], t[3], t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12])
     second = (
@@ -549,7 +563,8 @@ def tables(table: Any) -> Any:
     )
     quadratic = (t[62], t[63], t[64], t[65], t[66])
     cubic = (t[67], t[68], t[69], t[70])
-    return (int(t[0]), first, second, third), (t[61], quadratic, cubic)
+    origin = (t[71], t[72], t[73])
+    return (int(t[0]), first, second, third, origin), (t[61], quadratic, cubic)
 
 
 def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:
@@ -670,6 +685,7 @@ def inertial_block(
     loads: Any,
     rates: Any,
     gyration: float,
+    follow: Any,
 ) -> None:
     """`inertial` for every body of a block."""
     flow, law = tables(table)
@@ -706,6 +722,7 @@ def inertial_block(
                 None if loads is None else column_of_loads(f, b),
                 (p[0, b], p[1, b], p[2, b], p[3, b]),
                 gyration,
+                follow,
             )
             r[0, b] = rate[0]
             r[1, b] = rate[1]
@@ -733,6 +750,7 @@ def inertial_jacobian_block(
     loads: Any,
     rates: Any,
     gyration: float,
+    follow: Any,
 ) -> None:
     """d`inertial`/dy for every body of a block, one complex step per column."""
     flow, law = tables(table)
@@ -770,6 +788,7 @@ def inertial_jacobian_block(
                     None if loads is None else column_of_loads(f, b),
                     (p[0, b], p[1, b], p[2, b], p[3, b]),
                     gyration,
+                    follow,
                 )
                 r[0, b] = rate[0].imag / STEP
                 r[1, b] = rate[1].imag / STEP
