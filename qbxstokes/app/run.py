@@ -41,6 +41,10 @@ def _run(
         from qbxstokes.app.field_run import run_field_case
 
         return run_field_case(comm, loaded, plan, options, petsc, clock)
+    if loaded.case.task == "study":
+        from qbxstokes.app.study.run import run_studies
+
+        return run_studies(comm, loaded, plan, options, petsc, clock)
     if loaded.case.task != "motion":
         from qbxstokes.app.tabulate import run_tables
 

@@ -25,13 +25,14 @@ from qbxstokes.config.hydrodynamics import Hydrodynamics
 from qbxstokes.config.output import Output
 from qbxstokes.config.start import Start
 from qbxstokes.config.stress import Stress
+from qbxstokes.config.study import Study
 from qbxstokes.config.sweep import Sweep
 from qbxstokes.config.tabulate import SCENE_SECTIONS
 from qbxstokes.config.time import Time
 
-Task = Literal["motion", "field", "benchmark", "stress"]
+Task = Literal["motion", "field", "benchmark", "stress", "study"]
 # Tasks that build their own scenes and make tables; each has a section of its own name.
-TABLE_TASKS = ("benchmark", "stress")
+TABLE_TASKS = ("benchmark", "stress", "study")
 
 PetscValue = str | int | float | bool | None
 
@@ -89,6 +90,7 @@ class Case(Section):
         default=Benchmark(), description="tables of run time against error"
     )
     stress: Stress = Field(default=Stress(), description="tables of numerical stability")
+    study: Study = Field(default=Study(), description="studies: tables and figures")
     output: Output = Field(default=Output(), description="the result file")
     compare: Compare = Field(default=Compare(), description="what to hold the result against")
 
