@@ -8,15 +8,12 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from qbxstokes.errors import CaseError
 from qbxstokes.io.results import Result, load
 from qbxstokes.io.sweep_result import SweepResult
 from qbxstokes.io.tables import Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PLOT_USAGE = """\
 usage: python -m qbxstokes plot FILE ... [options]
@@ -33,6 +30,8 @@ options
 
 of a motion
 {motion}
+of a field
+  velocity-field, traction, error
 of a sweep
   a summary of its table, such as period, rotation_rate, orbit_drift
 
@@ -59,7 +58,7 @@ options
   --quiet, --json     print nothing; print the name of the file as JSON
 """
 
-Drawing = Callable[[], "Figure"]
+Drawing = Callable[[], Any]  # a figure of matplotlib
 
 
 class _Parser(argparse.ArgumentParser):
@@ -119,7 +118,8 @@ def drawings(
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
-    from qbxstokes.plots import motion, sweep
+    from qbxstokes.plots import field, motion, sweep
+    from qbxstokes.plots.source import is_motion
     from qbxstokes.plots.table import figure_of
 
     found: dict[str, Drawing]
@@ -132,7 +132,8 @@ def drawings(
         if isinstance(result, SweepResult):
             return sweep.drawings(result, kinds, dict(roles or {}))
         tables = result.tables
-        found = motion.drawings(result) if result.task == "motion" else {}
+        found = motion.drawings(result) if is_motion(result) else {}
+        found |= field.drawings(result)
     if roles:
         if table is None and len(tables) == 1:
             (table,) = tables

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,22 +35,29 @@ _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
 _ARROWS = (9, 16)  # arrows of traction, from pole to pole and around the equator
 
 
+def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+    """Kind and drawing of each picture of the result's group `field`, at its last instant."""
+    field = result.groups.get("field", {})
+    found: dict[str, Callable[[], Figure]] = {}
+    if "velocity" in field.get("plane", {}):
+        found["velocity-field"] = partial(velocity_figure, result)
+    if "surface" in field:
+        found["traction"] = partial(traction_figure, result)
+    if "error" in field:
+        found["error"] = partial(error_figure, result)
+    return found
+
+
 def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
     """Draw what the result's group `field` holds, at its last instant; the files written.
 
-    stem: path of the pictures without the ending, to which -velocity, -traction and -error are
-    added. Raises CaseError where a picture cannot be written.
+    stem: path of the pictures without the ending, to which the kind of each is added. Raises
+    CaseError where a picture cannot be written.
     """
-    field = result.groups.get("field", {})
     written = []
-    makers = {"plane": ("velocity", velocity_figure), "surface": ("traction", traction_figure)}
-    for group, (name, make) in makers.items():
-        if group in field and (group != "plane" or "velocity" in field[group]):
-            with styled():
-                written.append(save(make(result), Path(f"{stem}-{name}.{kind}")))
-    if "error" in field:
+    for name, draw in drawings(result).items():
         with styled():
-            written.append(save(error_figure(result), Path(f"{stem}-error.{kind}")))
+            written.append(save(draw(), Path(f"{stem}-{name}.{kind}")))
     return written
 
 
