@@ -86,6 +86,17 @@ def json_schema() -> dict[str, Any]:
 
 
 _STARTERS: dict[str, dict[str, Any]] = {
+    "field": {
+        "task": "field",
+        "title": "The flow around a spheroid in linear shear",
+        "body": {"aspect_ratio": 0.5},
+        "flow": {"type": "shear", "rate": 1.0},
+        "start": {"orientation": {"axis": [1.0, 1.0, 0.0]}},
+        "field": {
+            "plane": {"extent": [-3.0, 3.0, -2.0, 2.0], "shape": [151, 101]},
+            "pictures": True,
+        },
+    },
     "motion": {
         "task": "motion",
         "title": "A spheroid in linear shear",
