@@ -1,9 +1,9 @@
-"""Polynomial Stokes flows of degree <= 3, held as Taylor tensors about the space origin."""
+"""Polynomial Stokes flows of degree <= 3, held as Taylor tensors about an origin of their own."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from math import factorial
 from typing import Any
@@ -23,12 +23,13 @@ _ROUNDING = 1e-12
 
 
 class PolynomialFlow(Flow):
-    """u_i(x) = value_i + A_ij x_j + B_ijk x_j x_k / 2 + C_ijkl x_j x_k x_l / 6.
+    """u_i(x) = value_i + A_ij y_j + B_ijk y_j y_k / 2 + C_ijkl y_j y_k y_l / 6, y = x - origin.
 
     value (3,), gradient_tensor A (3, 3), hessian B (3, 3, 3), third C (3, 3, 3, 3) are the
-    derivatives at the space origin, B and C symmetric in their derivative indices. The sums hold
+    derivatives at `origin` (3,), B and C symmetric in their derivative indices. The sums hold
     only terms that are present, so that a coordinate on which the flow does not depend costs no
-    digits however large it grows (a body carried 1e6 lengths downstream).
+    digits however large it grows (a body carried 1e6 lengths downstream). A flow that is moved
+    takes its origin along and keeps its tensors: none of its digits are lost either.
 
     The constructor takes tensors as they are; `from_spec` and `from_coefficients` also refuse
     those that are not Stokesian.
@@ -42,8 +43,9 @@ class PolynomialFlow(Flow):
         gradient: ArrayLike | None = None,
         hessian: ArrayLike | None = None,
         third: ArrayLike | None = None,
+        origin: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
-        """Taylor tensors at the space origin; a missing one is zero. Raises FlowError."""
+        """Taylor tensors at the origin; a missing one is zero. Raises FlowError."""
         tensors = []
         for rank, (name, given) in enumerate(
             zip(_TENSOR_KEYS, (value, gradient, hessian, third), strict=True), start=1
@@ -64,6 +66,7 @@ class PolynomialFlow(Flow):
         self.gradient_tensor: Array = tensors[1]
         self.hessian: Array = tensors[2]
         self.third: Array = tensors[3]
+        self.origin: Array = tensor(origin, "origin", (3,))
         self._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
         coefficients = self.coefficients()
         self._exponents = list(coefficients)
@@ -77,7 +80,9 @@ class PolynomialFlow(Flow):
         """Keys of the specification with their defaults; `coefficients` or tensors."""
         if cls is not PolynomialFlow:
             return super().keys()
-        return {"coefficients": None, **super().keys()}
+        keys = {"coefficients": None, **super().keys()}
+        del keys["origin"]  # the key `position`, which every flow has
+        return keys
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
@@ -154,10 +159,9 @@ class PolynomialFlow(Flow):
         return flow
 
     def coefficients(self) -> dict[Exponents, Array]:
-        """Monomial exponents -> coefficients (3,) of the three components, zeros left out."""
+        """Monomial exponents of x - origin -> coefficients (3,) of the components, no zeros."""
         result: dict[Exponents, Array] = {}
-        tensors = (self.value, self.gradient_tensor, self.hessian, self.third)
-        for degree, derivatives in enumerate(tensors):
+        for degree, derivatives in enumerate(self._tensors):
             for index in product(range(3), repeat=degree):
                 if list(index) != sorted(index):
                     continue
@@ -193,7 +197,7 @@ class PolynomialFlow(Flow):
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3): one product of the monomials present with their coefficients."""
-        points = np.asarray(x, dtype=float)
+        points = self._from_origin(x)
         if not self._exponents:
             return np.zeros(points.shape)
         monomials = np.empty((*points.shape[:-1], len(self._exponents)))
@@ -217,7 +221,7 @@ class PolynomialFlow(Flow):
 
         The highest derivatives are constant; constant ones are read-only broadcast views.
         """
-        points = np.asarray(x, dtype=float)
+        points = self._from_origin(x)
         lead = points.shape[:-1]
         third = np.broadcast_to(self.third, (*lead, 3, 3, 3, 3))
         hessian = np.broadcast_to(self.hessian, (*lead, 3, 3, 3))
@@ -228,22 +232,22 @@ class PolynomialFlow(Flow):
             slope = (points @ self.third.reshape(27, 3).T).reshape(*lead, 3, 3, 3)
             hessian = hessian + slope
             gradient = gradient + 0.5 * np.matmul(slope, points[..., None, :, None])[..., 0]
-        return self.velocity(points), gradient, hessian, third
+        return self.velocity(x), gradient, hessian, third
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3)."""
         return self.derivatives(x)[1]
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Laplacian B_ikk + C_ijkk x_j, shape (..., 3)."""
-        points = np.asarray(x, dtype=float)
+        """Laplacian B_ikk + C_ijkk y_j, shape (..., 3)."""
+        points = self._from_origin(x)
         slope = np.einsum("ijkk->ij", self.third)
         result: Array = np.einsum("ikk->i", self.hessian) + points @ slope.T
         return result
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Pressure B_ikk x_i + C_ijkk x_i x_j / 2, zero at the space origin, shape (...)."""
-        points = np.asarray(x, dtype=float)
+        """Pressure B_ikk y_i + C_ijkk y_i y_j / 2, zero at the origin, shape (...)."""
+        points = self._from_origin(x)
         slope = np.einsum("ijkk->ij", self.third)
         mean = np.einsum("ikk->i", self.hessian) + 0.5 * points @ slope.T
         result: Array = np.sum(points * mean, axis=-1)
@@ -272,18 +276,26 @@ class PolynomialFlow(Flow):
         """Specification; without a name of its own, the tensors of the flow."""
         if self._spec is not None:
             return dict(self._spec)
-        tensors = (self.value, self.gradient_tensor, self.hessian, self.third)
         kept = {
             key: array.tolist()
-            for rank, (key, array) in enumerate(zip(_TENSOR_KEYS, tensors, strict=True))
+            for rank, (key, array) in enumerate(zip(_TENSOR_KEYS, self._tensors, strict=True))
             if rank == 0 or array.any()
         }
-        return {"type": "polynomial", **kept}
+        place = {"position": self.origin.tolist()} if self.origin.any() else {}
+        return {"type": "polynomial", **kept, **place}
 
     def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
-        """The flow moved, u'(x) = u(x - displacement): its tensors taken at -displacement."""
-        origin = -tensor(displacement, "position", (3,))
-        return PolynomialFlow(*self.derivatives(origin))
+        """The flow moved, u'(x) = u(x - displacement): its origin moves."""
+        return self._with(self._tensors, self.origin + tensor(displacement, "position", (3,)))
+
+    def about(self, origin: ArrayLike) -> PolynomialFlow:
+        """The same flow by its derivatives at another origin."""
+        place = tensor(origin, "origin", (3,))
+        return (
+            self
+            if np.array_equal(place, self.origin)
+            else self._with(self.derivatives(place), place)
+        )
 
     def rotated(self, rotation: ArrayLike) -> PolynomialFlow:
         """The flow turned about the space origin, u'(x) = R u(R^T x): tensors turned by R."""
@@ -292,34 +304,38 @@ class PolynomialFlow(Flow):
         third = np.einsum(
             "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
         )
-        return PolynomialFlow(
-            turn @ self.value,
-            turn @ self.gradient_tensor @ turn.T,
-            hessian,
-            third,
-        )
+        tensors = (turn @ self.value, turn @ self.gradient_tensor @ turn.T, hessian, third)
+        return self._with(tensors, turn @ self.origin)
 
     def scaled(self, factor: float) -> PolynomialFlow:
         """The flow times a number."""
         s = number(factor, "factor")
-        return PolynomialFlow(
-            s * self.value, s * self.gradient_tensor, s * self.hessian, s * self.third
-        )
+        return self._with([s * derivatives for derivatives in self._tensors], self.origin)
 
     def plus(self, other: PolynomialFlow) -> PolynomialFlow:
-        """Sum of two polynomial flows as one."""
-        return PolynomialFlow(
-            self.value + other.value,
-            self.gradient_tensor + other.gradient_tensor,
-            self.hessian + other.hessian,
-            self.third + other.third,
-        )
+        """Sum of two polynomial flows as one, about the origin of the first."""
+        pairs = zip(self._tensors, other.about(self.origin)._tensors, strict=True)
+        return self._with([one + two for one, two in pairs], self.origin)
 
     def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
         """The same flow, remembering the specification it was built from."""
-        flow = PolynomialFlow(self.value, self.gradient_tensor, self.hessian, self.third)
+        flow = self._with(self._tensors, self.origin)
         flow._spec = dict(spec)
         return flow
+
+    @property
+    def _tensors(self) -> tuple[Array, Array, Array, Array]:
+        return self.value, self.gradient_tensor, self.hessian, self.third
+
+    @staticmethod
+    def _with(tensors: Sequence[Array], origin: Array) -> PolynomialFlow:
+        value, gradient, hessian, third = tensors
+        return PolynomialFlow(value, gradient, hessian, third, origin)
+
+    def _from_origin(self, x: ArrayLike) -> Array:
+        """Points relative to the origin."""
+        points = np.asarray(x, dtype=float)
+        return points - self.origin if self.origin.any() else points
 
 
 def parse_monomial(text: str) -> Exponents:

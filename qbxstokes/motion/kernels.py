@@ -261,7 +261,7 @@ def free_motion_quadratic(
     (ellipsoid: Brenner, Chem. Eng. Sci. 19, 1964; Kim & Karrila, Microhydrodynamics, 1991, ch. 3;
     spheroid in a paraboloidal flow: Chwang, J. Fluid Mech. 72, 1975).
     """
-    _, first, second, _ = flow
+    _, first, second, _, _ = flow
     linear, quadratic, _ = law
     m = contract(second, x1, x2, x3)
     local = velocity_and_gradient(x1, x2, x3, first, m)
@@ -299,7 +299,7 @@ def free_motion_cubic(
 
     The law of `free_motion_quadratic` with B taken at the centre, plus `turning_correction`.
     """
-    _, first, second, third = flow
+    _, first, second, third, _ = flow
     linear, quadratic, cubic = law
     m = contract(second, x1, x2, x3)
     local = velocity_and_gradient(x1, x2, x3, first, m)
