@@ -17,8 +17,7 @@ from qbxstokes.app.field_targets import (
     surface_angles,
     targets_of,
 )
-from qbxstokes.app.plan import _check_flow as check_flow
-from qbxstokes.app.plan import result_path, start_quaternion
+from qbxstokes.app.plan import check_flow, result_path, start_quaternion
 from qbxstokes.bie.field import (
     INSIDE,
     SOURCES,

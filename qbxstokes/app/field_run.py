@@ -82,7 +82,7 @@ def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
             "Scene": _scene(loaded),
             "Needs": [("", f"- {text}") for text in plan.needs],
             "Skips": [("", f"- {text}") for text in plan.skips],
-            "Writes": [(str(plan.output), "")],
+            "Writes": [("", str(plan.output))],
         },
     )
 

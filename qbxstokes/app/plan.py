@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.app.field_targets import chosen_instants, targets_of
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
 from qbxstokes.errors import CaseError, FlowError
@@ -64,7 +65,7 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
         fields = tuple(dict.fromkeys(case.output.fields))
     position = np.array(case.start.position)
     quaternion = start_quaternion(case)
-    _check_flow(loaded, position, quaternion)
+    check_flow(loaded, position, quaternion)
     period = rotation_period(flow.gradient(position), case.body.aspect_ratio)
     if case.time.periods is not None and period is None:
         raise loaded.error(
@@ -72,12 +73,17 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
             "the flow's gradient at the start turns no axis around, so there is no period",
             "give time.end instead",
         )
+    times = _times(case, period)
+    if case.field is not None:
+        # What is wrong with them is told before anything is computed.
+        chosen_instants(loaded, times)
+        targets_of(loaded, case.field)
     kind = "every_step" if case.hydrodynamics.solve == "every_step" else "grid"
     if kind == "grid" and flow.degree is not None and flow.degree <= 3:
         kind = "table"
     needs, skips = _work(case, kind, flow.degree)
     return Plan(
-        times=_times(case, period),
+        times=times,
         period=period,
         position=position,
         quaternion=quaternion,
@@ -120,7 +126,7 @@ def orbit_axis(aspect_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -
     return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
 
 
-def _check_flow(loaded: LoadedCase, position: Array, quaternion: Array) -> None:
+def check_flow(loaded: LoadedCase, position: Array, quaternion: Array) -> None:
     """Refuse a flow that is not Stokesian near the body, or singular in it at the start."""
     k = loaded.case.body.aspect_ratio
     try:
