@@ -6,7 +6,7 @@ import json
 import math
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ _KEPT = 20_000
 # Steps between cuts, where a run can be resumed: a fraction of a second of work or some seconds.
 _CUT_STEPS = {"table": 5000, "grid": 500, "every_step": 100}
 _CUT_SAMPLES = 10_000
+# Rows go to the result in pieces of this size (bytes).
+_PIECE = 2**21
 
 
 class Recording:
@@ -172,7 +174,7 @@ class Recording:
         kept: list[Array] = []
         first, seen, drift = None, 0, 0.0
         constant = _place("orbit_constant")
-        for name, rows in self.journal.blocks():
+        for name, rows in _together(self.journal.blocks()):
             if name != SAMPLES:
                 columns = columns_of(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
@@ -193,6 +195,18 @@ class Recording:
     def replaces(self, path: Path) -> bool:
         """Whether the file at `path` is what an interrupted part of this very run left."""
         return self.start is not None and run_of(path) == self.run
+
+
+def _together(blocks: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]]:
+    """The blocks of each name joined into pieces of about `_PIECE` bytes."""
+    waiting: dict[str, list[Array]] = {}
+    for name, rows in blocks:
+        pile = waiting.setdefault(name, [])
+        pile.append(rows)
+        if sum(part.nbytes for part in pile) > _PIECE:
+            yield name, np.concatenate(waiting.pop(name))
+    for name, pile in waiting.items():
+        yield name, np.concatenate(pile)
 
 
 def _place(name: str) -> int:
