@@ -31,7 +31,7 @@ class Checks:
 
     def see(self, *key: Any, value: float, bound: float, at: str = "") -> None:
         """A value of the check `key`; the one that uses most of its bound is kept."""
-        value = float(value)
+        value, bound = float(value), float(bound)
         known = self._worst.get(key, (-1.0, bound, ""))
         if not math.isnan(known[0]) and not value / bound <= known[0] / known[1]:
             self._worst[key] = (value, bound, at)
@@ -41,10 +41,18 @@ class Checks:
         self._table.notes.append(text)
 
     def table(self) -> Table:
-        """The table of all checks; a value that is not a number fails."""
+        """The table of all checks; a value that is not a number fails.
+
+        The last column is left out where no check told a place.
+        """
+        places = any(at for _, _, at in self._worst.values())
+        if not places:
+            self._table.columns = self._table.columns[:-1]
+        names = self._table.names
         for key, (value, bound, at) in self._worst.items():
             shown = math.inf if math.isnan(value) else value
-            self._table.rows.append((*key, shown, bound, value <= bound, at or None))
+            row = [*key, shown, bound, value <= bound, *([at] if places else [])]
+            self._table.add(**dict(zip(names, row, strict=True)))
         return self._table
 
 

@@ -72,21 +72,11 @@ def _place(scene: Scene) -> str:
     return f"k = {scene.aspect_ratio:.3g}, degree {scene.flow.degree}"
 
 
-def _motion_scale(scene: Scene) -> np.ndarray:
-    """Scales of velocity, angular velocity, force and torque."""
-    r = vars(body_of(scene.aspect_ratio).model.resistance)
-    own = float(np.abs(scene.velocity).sum() + np.abs(scene.angular_velocity).sum())
-    force = max(r["translation_transverse"], r["translation_axial"])
-    torque = max(r["rotation_transverse"], r["rotation_axial"])
-    s = scene.scale
-    return np.array([s, s, force * (s + own), torque * (s + own)])
-
-
 def symmetry_error(scene: Scene, name: str, rng: np.random.Generator) -> float:
     """Largest difference between the motion carried along and that of the scene carried along."""
     other, carried = SYMMETRIES[name](scene, rng)
     difference = np.abs(other.motion() - carried(scene.motion())).max(axis=1)
-    return float(np.max(difference / _motion_scale(scene)))
+    return float(np.max(difference / scene.motion_scale))
 
 
 def trajectory_error(
@@ -134,7 +124,7 @@ def solve_error(scene: Scene, rng: np.random.Generator) -> float:
     free = solve.free_motion(0.0, x, q)
     forced = solve.force_torque(0.0, x, q, scene.velocity[None], scene.angular_velocity[None])
     difference = np.abs(np.concatenate([*free, *forced]) - scene.motion()).max(axis=1)
-    return float(np.max(difference / _motion_scale(scene)))
+    return float(np.max(difference / scene.motion_scale))
 
 
 def singular_error(scene: Scene, rng: np.random.Generator) -> float:

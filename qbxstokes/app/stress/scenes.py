@@ -6,16 +6,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import AccurateBody, accurate_body
-from qbxstokes.bie.functional import stokes_polynomials
-from qbxstokes.flows import PolynomialFlow
+from qbxstokes.bie.accuracy import AccurateBody, accurate_body, model_distance
+from qbxstokes.bie.functional import (
+    BodyModel,
+    FaxenCoefficients,
+    Resistance,
+    stokes_polynomials,
+)
+from qbxstokes.flows import PolynomialFlow, build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.reference import faxen
 
 Array = NDArray[np.float64]
 
@@ -43,6 +50,16 @@ class Scene:
         size = max(1.0, self.aspect_ratio)
         tensors = self.flow.derivatives(self.position)
         return float(sum(np.abs(d).sum() * size**n for n, d in enumerate(tensors)))
+
+    @property
+    def motion_scale(self) -> Array:
+        """The same for velocity, angular velocity, force and torque, (4,)."""
+        r = body_of(self.aspect_ratio).model.resistance
+        own = float(np.abs(self.velocity).sum() + np.abs(self.angular_velocity).sum())
+        force = max(r.translation_transverse, r.translation_axial)
+        torque = max(r.rotation_transverse, r.rotation_axial)
+        s = self.scale
+        return np.array([s, s, force * (s + own), torque * (s + own)])
 
     def motion(self) -> Array:
         """Free velocity and angular velocity, force and torque of the moving body, (4, 3)."""
@@ -158,3 +175,27 @@ SYMMETRIES = {
     "body turned over": reversed_axis,
     "displacement": displaced,
 }
+
+
+def polynomial(kind: str, **keys: Any) -> PolynomialFlow:
+    """A named polynomial flow."""
+    flow = build_flow({"type": kind, **keys})
+    assert isinstance(flow, PolynomialFlow)
+    return flow
+
+
+def exact_model(aspect_ratio: float) -> BodyModel:
+    """The body model by the closed forms of Lamb, Jeffery and Faxen."""
+    linear, quadratic, cubic = faxen.body_coefficients(aspect_ratio)
+    return BodyModel(
+        aspect_ratio,
+        Resistance(*faxen.resistance(aspect_ratio)),
+        FaxenCoefficients(linear, quadratic, cubic),
+        None,
+        0.0,
+    )
+
+
+def true_error(body: AccurateBody) -> float:
+    """Largest relative error of a body model, against the closed forms."""
+    return model_distance(body.model, exact_model(body.model.aspect_ratio))
