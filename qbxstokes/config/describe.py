@@ -86,6 +86,14 @@ def json_schema() -> dict[str, Any]:
 
 
 _STARTERS: dict[str, dict[str, Any]] = {
+    "motion": {
+        "task": "motion",
+        "title": "A spheroid in linear shear",
+        "body": {"aspect_ratio": 0.5, "stokes_number": 0.0},
+        "flow": {"type": "shear", "rate": 1.0},
+        "start": {"orientation": {"axis": [1.0, 1.0, 1.0]}},
+        "time": {"periods": 3, "samples": 301},
+    },
     "field": {
         "task": "field",
         "title": "The flow around a spheroid in linear shear",
@@ -97,14 +105,6 @@ _STARTERS: dict[str, dict[str, Any]] = {
             "pictures": True,
         },
     },
-    "motion": {
-        "task": "motion",
-        "title": "A spheroid in linear shear",
-        "body": {"aspect_ratio": 0.5, "stokes_number": 0.0},
-        "flow": {"type": "shear", "rate": 1.0},
-        "start": {"orientation": {"axis": [1.0, 1.0, 1.0]}},
-        "time": {"periods": 3, "samples": 301},
-    }
 }
 
 
