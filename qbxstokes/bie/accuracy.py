@@ -66,7 +66,7 @@ _MOST_PANEL_NODES = 30
 # Size of one rounding error of the assembled rows in units of eps times 4 pi; a few times what the
 # scatter of the results under changes of the panels shows.
 _ROUNDING = 0.2
-_PERTURBATIONS = 4
+_PERTURBATIONS = 8
 # Rounding of everything after the assembly, which no perturbation of it shows.
 _ROUNDING_FLOOR = 100.0 * float(np.finfo(float).eps)
 # A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
@@ -157,8 +157,7 @@ def accurate_body(
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
     if isinstance(scheme, UniformScheme):
-        body = _form(spheroid, scheme, completion, solver, form_rows)
-        return AccurateBody(body.model, body.functional, scheme)
+        return plain_body(spheroid, scheme, completion, solver, form_rows)
     trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
         body = _form(spheroid, trial, completion, solver, form_rows)
@@ -179,6 +178,18 @@ def accurate_body(
         body.model, error_estimate=max(parts.total, body.model.error_estimate), error_parts=parts
     )
     return AccurateBody(model, body.functional, trial)
+
+
+def plain_body(
+    spheroid: Spheroid,
+    scheme: Scheme,
+    completion: Completion = "surface",
+    solver: SolverFactory = DirectSolver,
+    form_rows: RowFormer = layer_rows,
+) -> AccurateBody:
+    """The body model of a given scheme; its estimate is the misfit of the polynomial law alone."""
+    body = _form(spheroid, scheme, completion, solver, form_rows)
+    return AccurateBody(body.model, body.functional, scheme)
 
 
 def _refined(scheme: GradedScheme, parts: ErrorParts) -> GradedScheme | None:
@@ -247,8 +258,9 @@ def estimate_error(
         solver = model_distance(body.model, _model(operators, body.direct), degree)
     rounding = _rounding(body, completion, degree)
     # A difference no larger than the rounding errors of its terms shows these, counted already.
-    quadrature = model_distance(body.model, by_panels.model, degree) - rounding
-    truncation = model_distance(by_panels.model, by_order.model, degree) - rounding
+    # The finer one errs as well, by less.
+    quadrature = 1.5 * model_distance(body.model, by_panels.model, degree) - rounding
+    truncation = 1.5 * model_distance(by_panels.model, by_order.model, degree) - rounding
     return ErrorParts(
         quadrature=max(quadrature, 0.0),
         truncation=max(truncation, 0.0),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from itertools import combinations_with_replacement, permutations
 
 import numpy as np
@@ -253,8 +254,9 @@ def resistance(weights: dict[str, Array], completion: dict[str, Array]) -> Resis
     return Resistance(**{name: 1.0 / float(weights[name] @ completion[name]) for name in weights})
 
 
+@cache
 def stokes_polynomials(degree: int) -> Array:
-    """Orthonormal basis of the homogeneous Stokes flows of degree 1, 2 or 3.
+    """Orthonormal basis of the homogeneous Stokes flows of degree 1, 2 or 3 (not to be changed).
 
     Returns derivative tensors (n, 3, 3, ...) of order degree, [i, j, k...] = d_j d_k ... u_i,
     that are free of divergence and whose Laplacian is free of curl: n = 8, 15 or 21.

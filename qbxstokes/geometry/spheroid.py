@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -92,6 +92,13 @@ class Spheroid:
         return np.minimum(np.minimum(k * q, q / k), q**3 / k)
 
 
+@cache
+def gauss_legendre(n: int) -> tuple[Array, Array]:
+    """Nodes and weights (n,) of the Gauss-Legendre rule on [-1, 1]; not to be changed."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    return np.asarray(x), np.asarray(w)
+
+
 @dataclass(frozen=True)
 class SurfaceGrid:
     """Polar nodes times equispaced azimuthal nodes; point index i_theta * n_phi + j_phi.
@@ -107,7 +114,7 @@ class SurfaceGrid:
 
     @cached_property
     def _gauss(self) -> tuple[Array, Array, Array]:
-        x, w = np.polynomial.legendre.leggauss(self.n_theta)
+        x, w = gauss_legendre(self.n_theta)
         barycentric = (-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w)
         if self.nodes == "cosine":
             # arctan2 keeps the nodes symmetric and accurate near the poles.

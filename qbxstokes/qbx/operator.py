@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid, gauss_legendre
 from qbxstokes.qbx.harmonics import from_coefficients
 from qbxstokes.qbx.kernel import Centre, Kernels, layer_row, target_specific
 from qbxstokes.qbx.panels import Rule, graded_rule, uniform_rule
@@ -59,7 +59,7 @@ class GradedScheme:
 
     def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> Rule:
         """Source rule of the centre on the given side of the target at theta."""
-        x, w = np.polynomial.legendre.leggauss(self.panel_order)
+        x, w = gauss_legendre(self.panel_order)
         return graded_rule(
             float(spheroid.aspect_ratio),
             theta,
