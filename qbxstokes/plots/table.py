@@ -217,7 +217,6 @@ def draw_map(
 
     All panels of one table share their colours. Cells without a value are hatched.
     """
-    from matplotlib.collections import LineCollection
     from matplotlib.colors import LogNorm, Normalize
     from matplotlib.patheffects import withStroke
     from matplotlib.ticker import LogLocator, MaxNLocator
@@ -247,13 +246,15 @@ def draw_map(
             if np.nanmin(grid) < level < np.nanmax(grid)
         ]
         if levels:
-            lines = axes.contour(
+            lines: Any = axes.contour(
                 x, y, np.ma.masked_invalid(grid), levels, colors="white", linewidths=0.7
             )
             axes.clabel(lines, fontsize=6.5, fmt=_power if logarithmic else "%g")
-            outline = [withStroke(linewidth=1.6, foreground="#00000070")]
-            for artist in axes.findobj(LineCollection) + axes.texts:
-                artist.set_path_effects(outline)
+            # An outline keeps white lines visible on the palest colours. Contours are one
+            # artist since matplotlib 3.8, and several before.
+            drawn = [lines] if hasattr(lines, "set_path_effects") else lines.collections
+            for artist in (*drawn, *axes.texts):
+                artist.set_path_effects([withStroke(linewidth=1.3, foreground="#00000050")])
     mark = spec.get("mark")
     if mark and np.isfinite(grid).any():
         flat = np.nanargmin(grid) if mark == "minimum" else np.nanargmax(grid)
