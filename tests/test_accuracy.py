@@ -1,0 +1,212 @@
+"""From tolerance to parameters: met, estimated without closed forms, refused where impossible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from qbxstokes.app.benchmark.accuracy import TOLERANCES, examine, model_error, random_sample
+from qbxstokes.app.benchmark.setup import skips
+from qbxstokes.bie.accuracy import (
+    accurate_body,
+    adjoint_tail,
+    choose_scheme,
+    confocal_rate,
+    estimate_error,
+    flow_error,
+    flow_nodes,
+    plain_body,
+    resolving_nodes,
+)
+from qbxstokes.bie.operators import modal_functional, surface_operators
+from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, SolveMotion
+from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.flows.named import Shear
+from qbxstokes.flows.singularities import Stokeslet
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.qbx.operator import UniformScheme
+from qbxstokes.reference import faxen
+
+RATIOS = [1 / 50, 0.2, 1.0, 3.0, 50.0]
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_the_tolerance_is_met_by_random_bodies_in_random_flows(tolerance):
+    """The benchmark `accuracy` has 200 of them."""
+    rng = np.random.default_rng(11)
+    outcomes = [examine(random_sample(rng), tolerance) for _ in range(8)]
+    assert max(outcome.error for outcome in outcomes) < tolerance
+    ratios = np.array([outcome.estimate / outcome.error for outcome in outcomes])
+    assert ratios.min() > 0.3
+    assert np.mean(ratios < 100) > 0.5
+
+
+@pytest.mark.parametrize("k", RATIOS)
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7, 1e-10])
+def test_chosen_parameters_meet_the_tolerance_with_a_margin(k, tolerance):
+    """The scan behind the fit, repeated at a few places."""
+    body = plain_body(Spheroid(k), choose_scheme(tolerance))
+    assert model_error(body) < 0.5 * tolerance
+
+
+@pytest.mark.parametrize("side", ["outer", "average"])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8])
+def test_expansions_that_truncate_meet_the_tolerance_too(side, tolerance):
+    for k in (0.1, 0.7, 5.0):
+        assert model_error(plain_body(Spheroid(k), choose_scheme(tolerance, side=side))) < tolerance
+
+
+@pytest.mark.parametrize("k", [1e-3, 1e-2, 1e2, 1e3])
+def test_bodies_too_thin_are_estimated_honestly_and_refused(k):
+    body = accurate_body(Spheroid(k), 1e-10, strict=False)
+    parts = body.model.error_parts
+    error = model_error(body)
+    assert 0.5 * error < parts.total < 300 * error
+    assert body.model.error_estimate >= parts.total
+    if parts.total > 1e-10:
+        with pytest.raises(ConvergenceError, match=r"exceeds the tolerance.*rounding.*set hydro"):
+            accurate_body(Spheroid(k), 1e-10)
+    accurate_body(Spheroid(k), 4 * parts.total)
+
+
+def test_each_part_of_the_estimate_finds_its_cause():
+    spheroid, good = Spheroid(0.3), choose_scheme(1e-10)
+
+    def parts(scheme):
+        return estimate_error(plain_body(spheroid, scheme))
+
+    sound = parts(good)
+    assert max(vars(sound).values()) < 1e-10
+    few_panels = parts(replace(good, panel_order=5))
+    assert few_panels.quadrature > 1e4 * few_panels.rounding
+    assert few_panels.quadrature > 3 * few_panels.truncation
+    low_order = parts(replace(good, expansion_order=2))
+    assert low_order.truncation > 1e3 * low_order.quadrature
+    few_nodes = parts(replace(good, n_theta=3, expansion_order=8))
+    assert few_nodes.resolution > 1e-3
+
+
+def test_what_an_expert_sets_is_not_refined_but_estimated():
+    coarse = replace(choose_scheme(1e-10), panel_order=5)
+    body = accurate_body(Spheroid(0.5), 1e-10, coarse)
+    assert body.scheme == coarse
+    assert body.model.error_parts.total > 1e-10
+    assert body.model.error_parts.total > 0.5 * model_error(body)
+
+
+def test_a_poor_first_choice_is_refined(monkeypatch):
+    from qbxstokes.bie import accuracy
+
+    poor = replace(choose_scheme(1e-10), panel_order=6)
+    monkeypatch.setattr(accuracy, "choose_scheme", lambda *_, **__: poor)
+    body = accurate_body(Spheroid(0.5), 1e-8)
+    assert body.scheme.panel_order > 6
+    assert model_error(body) < 1e-8
+
+
+@pytest.mark.parametrize("k", RATIOS)
+def test_the_adjoint_density_is_resolved_and_carries_over_to_other_grids(k):
+    """Decay of its coefficients; prolonged, it is exact for what the new nodes resolve."""
+    functional = plain_body(Spheroid(k), choose_scheme(1e-10)).functional
+    assert adjoint_tail(functional) < 1e-11
+    rng = np.random.default_rng(0)
+    flow = random_sample(rng, 1.0 + 1e-12).flow
+    coarse, fine = functional.on_grid(8), functional.on_grid(14, 21)
+    motions = [
+        np.einsum("anj,nj->a", grid.weights, flow.velocity(grid.points)) for grid in (coarse, fine)
+    ]
+    if flow.degree is not None:
+        assert np.allclose(*motions, rtol=1e-9, atol=1e-10 * np.max(np.abs(motions[0])))
+
+
+def test_confocal_rate():
+    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.3, 0.4, 0.0]])
+    assert np.allclose(confocal_rate(0.5, points), 1.0)
+    assert np.allclose(confocal_rate(1.0, 3.0 * np.eye(3)), 1 / 3)
+    # On the axis of a prolate body: (k + 1)/(sqrt(z^2 - e^2) + z).
+    z, k = 1.7, 0.2
+    exact = (1 + k) / (np.sqrt(z * z - 1 + k * k) + z)
+    assert confocal_rate(k, [0.0, 0.0, z]) == pytest.approx(exact, rel=1e-13)
+    assert np.all(np.diff(confocal_rate(7.0, np.outer(np.linspace(7, 90, 30), [1, 0, 0]))) < 0)
+
+
+@pytest.mark.parametrize(("k", "distance"), [(0.1, 1.2), (0.1, 4.0), (1.0, 1.5), (8.0, 10.0)])
+def test_nodes_from_the_rate_resolve_a_singularity(k, distance):
+    functional = plain_body(Spheroid(k), choose_scheme(1e-10)).functional
+    for direction in np.eye(3)[1:]:
+        place = distance * direction
+        flow = Stokeslet([1.0, -0.4, 0.7], place)
+        for tolerance in (1e-5, 1e-9):
+            nodes = flow_nodes(float(confocal_rate(k, place)), tolerance)
+            *found, error = resolving_nodes(functional, flow.velocity, tolerance, nodes)
+            assert error <= tolerance
+            assert found[0] <= 1.7 * nodes[0]
+            exact = np.concatenate(faxen.free_motion(k, np.eye(3), np.zeros(3), flow.velocity, 200))
+            grid = functional.on_grid(found[1], found[0])
+            motion = np.einsum("anj,nj->a", grid.weights, flow.velocity(grid.points))
+            assert np.linalg.norm(motion[:3] - exact[:3]) < 3 * tolerance * np.linalg.norm(
+                exact[:3]
+            )
+
+
+def test_flow_error_falls_with_the_nodes():
+    functional = plain_body(Spheroid(0.5), choose_scheme(1e-10)).functional
+    flow = Stokeslet([1.0, 1.0, 1.0], [0.9, 0.2, 0.8])
+    errors = [flow_error(functional, flow.velocity, n, 2 * n) for n in (8, 12, 16, 20)]
+    assert np.polyfit([8, 12, 16, 20], np.log10(errors), 1)[0] < -0.2
+
+
+def test_a_singularity_in_the_body_or_too_near_is_refused_with_its_place():
+    functional = plain_body(Spheroid(0.5), choose_scheme(1e-8)).functional
+    motion = AdaptiveGridMotion(functional, Stokeslet([1.0, 0.0, 0.0], [0.0, 0.0, 2.0]), 1e-8)
+    q = np.array([[1.0, 0.0, 0.0, 0.0]])
+    for z in (1.5, 0.999, 1.0):
+        with pytest.raises(FlowError, match=r"at t = 3, body at \(0, 0, .*too near"):
+            motion.free_motion(3.0, np.array([[0.0, 0.0, z]]), q)
+
+
+def test_the_grid_follows_a_body_that_nears_a_singularity():
+    functional = plain_body(Spheroid(0.5), choose_scheme(1e-10)).functional
+    flow = Stokeslet([1.0, 0.5, 0.2], [0.0, 0.0, 4.0])
+    motion = AdaptiveGridMotion(functional, flow, 1e-10)
+    x = np.outer([0.0, 1.5, 2.5, 2.8], [0.0, 0.0, 1.0])
+    q = rotation.random_quaternions(4, np.random.default_rng(1))
+    nodes = [n for n, _ in motion.nodes(x, q)]
+    assert nodes == sorted(nodes)
+    assert nodes[-1] > 2 * nodes[0]
+    u, omega = motion.free_motion(0.0, x, q)
+    for i in range(4):
+        exact = faxen.free_motion(0.5, rotation.matrix(q[i]), x[i], flow.velocity, 250)
+        assert np.linalg.norm(u[i] - exact[0]) < 1e-9 * np.linalg.norm(exact[0])
+        assert np.linalg.norm(omega[i] - exact[1]) < 1e-9 * np.linalg.norm(exact[1])
+
+
+def test_solve_functional_and_table_agree():
+    """Any Stokes flow that is not polynomial: solved at the step, or by the functional."""
+    flow = Stokeslet([1.0, 0.5, 0.2], [1.0, 1.5, 1.0]) + Shear()
+    scheme = choose_scheme(1e-9, 20)
+    operators = surface_operators(Spheroid(0.5), scheme, 30)
+    x, q = np.zeros((1, 3)), rotation.random_quaternions(1, np.random.default_rng(2))
+    solved = SolveMotion(operators, flow).free_motion(0.0, x, q)
+    same = GridMotion(modal_functional(operators).on_grid(30), flow).free_motion(0.0, x, q)
+    small = plain_body(Spheroid(0.5), choose_scheme(1e-9)).functional
+    other = GridMotion(small.on_grid(40, 24), flow).free_motion(0.0, x, q)
+    for a, b, c in zip(solved, same, other, strict=True):
+        assert np.allclose(a, b, rtol=1e-11, atol=1e-13)
+        assert np.allclose(a, c, rtol=1e-8)
+
+
+@pytest.mark.parametrize("k", [0.1, 4.0])
+def test_every_skip_changes_no_more_than_rounding(k):
+    for name, full, short in skips(k):
+        before, after = full(), short()
+        assert np.max(np.abs(before - after)) < 1e-11 * np.max(np.abs(before)), name
+
+
+def test_the_uniform_scheme_gets_no_estimate_beyond_the_misfit():
+    body = accurate_body(Spheroid(0.7), 1e-10, UniformScheme(10, 6, 6, 0.3, 6))
+    assert body.model.error_parts is None
+    assert 0 < body.model.error_estimate < 1
