@@ -446,7 +446,7 @@ def test_sweep_over_two_numbers_is_curves_or_a_map() -> None:
         assert axes.get_xlabel() == r"Stokes number $\mathrm{St}$"
         assert axes.get_ylabel() == r"period $T$ ($\tau$)"
         axes = sweep.drawings(cells)["period"]().axes[0]
-    assert axes.collections[0].get_array().shape == (11, 12)
+    assert axes.collections[0].get_array().size == 11 * 12
     assert axes.get_ylabel() == "aspect ratio $k$"
 
 

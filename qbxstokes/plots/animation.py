@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from subprocess import CalledProcessError
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -311,14 +312,17 @@ class Film:
         from matplotlib.animation import FFMpegWriter
 
         if not FFMpegWriter.isAvailable():
-            raise CaseError(
-                f"{path.suffix[1:]}: needs the program ffmpeg; install it or take --format gif"
-            )
+            raise CaseError("MP4 needs the program ffmpeg; install it or take --format gif")
         writer = FFMpegWriter(fps=self.fps)
-        with writer.saving(self.figure, str(path), _DPI):
-            for frame in range(self.frames):
-                self.show(frame)
-                writer.grab_frame()
+        try:
+            with writer.saving(self.figure, str(path), _DPI):
+                for frame in range(self.frames):
+                    self.show(frame)
+                    writer.grab_frame()
+        except CalledProcessError as error:
+            raise CaseError(
+                f"ffmpeg ended with status {error.returncode}; take --format gif instead"
+            ) from None
 
 
 def animate(
