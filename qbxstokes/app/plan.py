@@ -194,6 +194,11 @@ def _work(case: Case, kind: str, degree: int | None) -> tuple[tuple[str, ...], t
         skips.append("integral equation at every step: free motion is a linear functional")
     if kind != "every_step":
         skips.append("azimuthal modes above 1: they exert neither force nor torque")
+    if kind == "grid":
+        needs.append("a grid as fine as the distance of the flow's singular points asks for")
+    skips.append("azimuths and southern half of the body: rotational and mirror symmetry give them")
+    if case.hydrodynamics.scheme == "graded" and case.hydrodynamics.expansion is None:
+        skips.append("outer expansions: inner ones and the jump give the surface values")
     driven = case.forces.given or case.constraints.given
     if massless:
         needs.append("position and orientation only: 7 equations (massless body)")
