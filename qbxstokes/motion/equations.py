@@ -44,9 +44,10 @@ N_MASSLESS = 7
 N_INERTIAL = 13
 
 # From this size of the block, or this number of right-hand sides of a single body, the compiled
-# kernels repay their import (about 0.4 s against some 10 us a right-hand side).
+# kernels repay their import (0.4 s, and some seconds of compilation once on a machine, against
+# some 10 us a right-hand side).
 COMPILED_BLOCK = 8
-COMPILED_EVALUATIONS = 100_000
+COMPILED_EVALUATIONS = 500_000
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _TRIPLES = (
