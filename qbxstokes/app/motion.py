@@ -104,7 +104,7 @@ def run_motion(
         summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     recording.journal.close(remove=trajectory.finished)
     if not trajectory.finished:
-        raise _interrupted(loaded, recording, summary, interruption.signal)
+        raise _interrupted(recording, summary, interruption.signal)
     summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
 
@@ -215,14 +215,12 @@ def relaxation_times(equations: RigidBodyEquations) -> dict[str, float]:
     return dict(zip(names, (1.0 / equations.relaxation_rates[:, 0]).tolist(), strict=True))
 
 
-def _interrupted(
-    loaded: LoadedCase, recording: Recording, summary: Mapping[str, Any], number: int
-) -> Interrupted:
+def _interrupted(recording: Recording, summary: Mapping[str, Any], number: int) -> Interrupted:
     name = signal.Signals(number).name
     if not recording.saved:
         return Interrupted(f"{name}: stopped before the first checkpoint; start again", number)
     return Interrupted(
         f"{name}: stopped at t = {summary.get('end', 0.0):.6g}; {summary['result']} holds what "
-        f"there is, go on with: python -m qbxstokes {loaded.path} --resume",
+        "there is; go on with the same command and --resume",
         number,
     )

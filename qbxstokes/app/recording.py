@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
-import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -59,7 +59,7 @@ class Recording:
             )
         self._identity = self._identify(options)
         self.overwrite, self.samples = overwrite, 0
-        self.run, self.target = uuid.uuid4().hex, plan.output
+        self.run, self.target = os.urandom(16).hex(), plan.output
         self.start: Checkpoint | None = None
         self.resumed_at: float | None = None
         self._state: dict[str, Any] | None = None
@@ -68,11 +68,13 @@ class Recording:
             found = unfinished(islice(numbered(result_path(loaded)), 1000))
         elif overwrite:
             discard(plan.output)
-        elif unfinished([plan.output]) is not None:
-            raise CaseError(
-                f"{plan.output}: an unfinished run is kept in {Journal(plan.output).folder}; go on "
-                "with --resume, or begin anew with --overwrite"
-            )
+        else:
+            left = unfinished(dict.fromkeys([result_path(loaded), plan.output]))
+            if left is not None:
+                raise CaseError(
+                    f"{left}: an unfinished run is kept in {Journal(left).folder}; go on with "
+                    "--resume, or begin anew with --overwrite"
+                )
         self.journal = Journal(plan.output)
         if found is not None:
             self._reopen(found)

@@ -27,7 +27,7 @@ _ANGLE = re.compile(r"(?P<number>.*?)\s*(?P<unit>deg|degrees?|°|rad|radians?)\Z
 class Section(BaseModel):
     """One section of the case: immutable, without unknown keys, every key described."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 def problem(wrong: str, right: str = "", key: tuple[str | int, ...] = ()) -> PydanticCustomError:

@@ -94,9 +94,9 @@ def _space(document: Document, folder: Path) -> SweepSpace:
                     raise document.error(where, "unknown key", right)
         return build_space(section.axes, folder)
     except ValidationError as error:
-        entry = dict(error.errors(include_url=False)[0])
-        entry["loc"] = ("sweep", *entry["loc"])
-        key, wrong, right = _fault(document, entry)
+        first: dict[str, Any] = dict(error.errors(include_url=False)[0])
+        first["loc"] = ("sweep", *first["loc"])
+        key, wrong, right = _fault(document, first)
         raise document.error(key, wrong, right) from None
     except SweepFault as fault:
         raise document.error(fault.key, fault.wrong, fault.right) from None

@@ -59,21 +59,27 @@ class Case(Section):
     title: Text = Field(default="", description="a line that names the case in summaries")
     body: Body = Field(description="the spheroid")
     flow: FlowSection = Field(description="the background flow")
-    start: Start = Field(default=Start(), description="state at time 0")
-    forces: Forces = Field(default=Forces(), description="external force and torque, gravity")
+    start: Start = Field(default=Start.model_construct(), description="state at time 0")
+    forces: Forces = Field(
+        default=Forces.model_construct(), description="external force and torque, gravity"
+    )
     constraints: Constraints = Field(
-        default=Constraints(), description="parts of the motion that are held or prescribed"
+        default=Constraints.model_construct(),
+        description="parts of the motion that are held or prescribed",
     )
     time: Time | None = Field(default=None, description="duration, stored instants, tolerance")
     hydrodynamics: Hydrodynamics = Field(
-        default=Hydrodynamics(), description="accuracy and scheme of the integral equation"
+        default=Hydrodynamics.model_construct(),
+        description="accuracy and scheme of the integral equation",
     )
     field: FieldSection | None = Field(
         default=None, description="the flow around the body: where, which quantities, how well"
     )
-    events: Events = Field(default=Events(), description="what is watched for between samples")
+    events: Events = Field(
+        default=Events.model_construct(), description="what is watched for between samples"
+    )
     checkpoint: Checkpoints = Field(
-        default=Checkpoints(), description="how often the run is made safe on disk"
+        default=Checkpoints.model_construct(), description="how often the run is made safe on disk"
     )
     petsc: Annotated[
         dict[str, PetscValue],
@@ -87,12 +93,16 @@ class Case(Section):
         default=None, description="vary keys of the case: many trajectories, one result"
     )
     benchmark: Benchmark = Field(
-        default=Benchmark(), description="tables of run time against error"
+        default=Benchmark.model_construct(), description="tables of run time against error"
     )
-    stress: Stress = Field(default=Stress(), description="tables of numerical stability")
-    study: Study = Field(default=Study(), description="studies: tables and figures")
-    output: Output = Field(default=Output(), description="the result file")
-    compare: Compare = Field(default=Compare(), description="what to hold the result against")
+    stress: Stress = Field(
+        default=Stress.model_construct(), description="tables of numerical stability"
+    )
+    study: Study = Field(default=Study.model_construct(), description="studies: tables and figures")
+    output: Output = Field(default=Output.model_construct(), description="the result file")
+    compare: Compare = Field(
+        default=Compare.model_construct(), description="what to hold the result against"
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -104,7 +104,7 @@ class Start(Section):
         examples=[[0.0, 0.0, 0.0]],
     )
     orientation: Orientation = Field(
-        default=Orientation(axis=(0.0, 0.0, 1.0)),
+        default=Orientation.model_construct(axis=(0.0, 0.0, 1.0)),
         description="orientation as quaternion, euler, axis or orbit",
     )
     velocity: Velocity = Field(
