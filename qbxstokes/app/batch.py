@@ -25,14 +25,16 @@ from numpy.typing import NDArray
 from qbxstokes.app import handout
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.handout import HandOut
+from qbxstokes.app.interrupt import Interruption
 from qbxstokes.app.parallel import on_root
 from qbxstokes.app.plan import result_path
 from qbxstokes.app.progress import Progress
 from qbxstokes.app.scenes import Scene, Scenes
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.sweep import column_name
-from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
+from qbxstokes.errors import CaseError, ConvergenceError, Interrupted, QbxStokesError
 from qbxstokes.io import sweep as store
+from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
 
 Array = NDArray[Any]
@@ -132,16 +134,7 @@ def run_sweep(
     digest = digest_of(loaded, scenes)
     made = provenance | {"digest": digest, "shape": list(scenes.space.shape)}
     with clock.part("output"):
-        work = on_root(
-            comm,
-            lambda: _prepare(
-                scenes,
-                layout,
-                digest,
-                options,
-                made,
-            ),
-        )
+        work = on_root(comm, lambda: _prepare(scenes, layout, digest, options, made))
     if work.complete:
         return {"result": str(work.target), "complete": True, "failed": 0}
     if work.run > 1:
@@ -149,15 +142,20 @@ def run_sweep(
             _verify(comm, scenes, layout, work)
     counters = HandOut(comm)
     with clock.part("models"):
-        models = _models(comm, scenes, work, counters)
+        models = _models(comm, scenes, work, counters, options.no_cache)
     progress = None
     if comm.rank == 0 and not options.quiet:
         progress = Progress(scenes.space.size, options.progress, comm.size)
     begin = time.perf_counter()
     try:
-        _blocks(comm, scenes, layout, work, models, counters, progress, clock)
+        with Interruption() as interruption:
+            interruption.listening = True
+            team = Team(comm, counters, progress, interruption, work)
+            _blocks(team, scenes, layout, work, models, clock)
     except OSError as error:
         raise store.full_disk(work.target, error) from None
+    except KeyboardInterrupt:
+        raise interrupted(work, 2) from None
     with clock.part("waiting"):
         counters.wait()
     failed = counters.read(handout.FAILED)
@@ -373,60 +371,84 @@ def _verify(comm: Any, scenes: Scenes, layout: store.Layout, work: Work) -> None
     work.blocks.sort()
 
 
-def _models(comm: Any, scenes: Scenes, work: Work, counters: HandOut) -> dict[int, Any]:
-    """Body models that this run needs, formed by whichever rank is free, known to all.
+@dataclass
+class Models:
+    """The bodies of the sweep: what their operators give, and which could not be formed."""
 
-    A model that cannot be formed is replaced by the error, which its trajectories then report.
+    cache: SharedCache
+    errors: dict[int, QbxStokesError]
+
+
+def _models(comm: Any, scenes: Scenes, work: Work, counters: HandOut, no_cache: bool) -> Models:
+    """Form the bodies that this run needs, each by whichever rank is free, known to all.
+
+    A body that cannot be formed is noted with the error, which its trajectories then report.
     """
-    from qbxstokes.app.body import form_hydrodynamics
-    from qbxstokes.bie.functional import BodyModel
+    from qbxstokes.app.body import form_hydrodynamics, open_cache
+    from qbxstokes.petsc import session
 
     body, representatives = scenes.bodies
     scene_of = scenes.scene_of_block()
     needed = sorted({int(body[scene_of[number]]) for number in [*work.blocks, *work.mend]})
-    formed: dict[int, Any] = {}
+    # Options of the solver want to be seen at work.
+    no_cache = no_cache or bool(session.solver_options(session.start()))
+    models = Models(SharedCache(open_cache(scenes.loaded, no_cache).folder), {})
     while (place := counters.next(handout.MODELS)) < len(needed):
         number = needed[place]
         try:
             scene = scenes.scene(representatives[number])
-            if scene.plan.hydrodynamics != "every_step":
-                model = form_hydrodynamics(scene.loaded, scene.plan).model
-                formed[number] = model.to_arrays()
+            form_hydrodynamics(scene.loaded, scene.plan, cache=models.cache)
         except QbxStokesError as error:
-            formed[number] = error
+            models.errors[number] = error
     counters.wait()
-    models: dict[int, Any] = {}
-    for part in comm.allgather(formed):
-        for number, value in part.items():
-            failed = isinstance(value, QbxStokesError)
-            models[number] = value if failed else BodyModel.from_arrays(value)
+    for entries, errors in comm.allgather((models.cache.entries, models.errors)):
+        models.cache.receive(entries)
+        models.errors.update(errors)
     return models
 
 
+def interrupted(work: Work, number: int) -> Interrupted:
+    """What to tell when a signal has stopped the sweep."""
+    return Interrupted(
+        f"interrupted; finished blocks are kept in {work.folder}: go on with --resume", number
+    )
+
+
+@dataclass
+class Team:
+    """What a rank shares with the others while it computes."""
+
+    comm: Any
+    counters: HandOut
+    progress: Progress | None
+    interruption: Interruption
+    work: Work
+
+    def poke(self) -> bool:
+        """Between steps: serve MPI, tell the progress, heed signals (raises Interrupted)."""
+        if self.interruption.asked():
+            raise interrupted(self.work, self.interruption.signal)
+        if self.progress is None or not self.progress.due:
+            self.counters.poke()
+        else:
+            done = self.work.done + self.counters.read(handout.DONE)
+            self.progress.update(done, self.counters.read(handout.FAILED))
+        return False
+
+
 def _blocks(
-    comm: Any,
+    team: Team,
     scenes: Scenes,
     layout: store.Layout,
     work: Work,
-    models: dict[int, Any],
-    counters: HandOut,
-    progress: Progress | None,
+    models: Models,
     clock: Clock,
 ) -> None:
     """Compute blocks until none is left."""
-    order = _order(scenes, work)
-
-    def poke() -> bool:
-        if progress is None or not progress.due:
-            counters.poke()
-        else:
-            done = work.done + counters.read(handout.DONE)
-            progress.update(done, counters.read(handout.FAILED))
-        return False
-
+    order, counters = _order(scenes, work), team.counters
     whole = store.open_layout(work.folder, layout)
-    journal = store.Journal(work.folder, comm.rank)
-    computer = _Computer(scenes, layout, models, poke)
+    journal = store.Journal(work.folder, team.comm.rank)
+    computer = _Computer(scenes, layout, models, team.poke)
     with whole:
         while (place := counters.next(handout.BLOCKS)) < len(order):
             number = order[place]
@@ -441,7 +463,7 @@ def _blocks(
                 journal.record(entry)
             counters.add(handout.FAILED, len(entry["failed"]))
             counters.add(handout.DONE, len(index) - len(entry["failed"]))
-            poke()
+            team.poke()
     journal.close()
 
 
@@ -457,9 +479,7 @@ def _order(scenes: Scenes, work: Work) -> list[int]:
 class _Computer:
     """Computes blocks, keeping the scene and the model at hand from one to the next."""
 
-    def __init__(
-        self, scenes: Scenes, layout: store.Layout, models: dict[int, Any], poke: Any
-    ) -> None:
+    def __init__(self, scenes: Scenes, layout: store.Layout, models: Models, poke: Any) -> None:
         self._scenes, self._layout, self._models, self._poke = scenes, layout, models, poke
         self._body, _ = scenes.bodies
         self._current: tuple[int, Any, Any] = (-1, None, None)
@@ -513,22 +533,14 @@ class _Computer:
     def _ready(self, number: int) -> tuple[Scene, Any, Any]:
         """The scene with its body model and its provider of free motion."""
         from qbxstokes.app.body import form_hydrodynamics
-        from qbxstokes.bie.providers import GridMotion
 
+        error = self._models.errors.get(int(self._body[number]))
+        if error is not None:
+            raise error
         scene = self._scenes.scene(number)
         if self._current[0] != number:
-            model: Any = self._models.get(int(self._body[number]))
-            if isinstance(model, QbxStokesError):
-                raise model
-            if scene.plan.hydrodynamics == "every_step":
-                formed = form_hydrodynamics(scene.loaded, scene.plan)
-                model, provider = formed.model, formed.provider
-            elif scene.plan.hydrodynamics == "grid":
-                assert model.grid is not None
-                provider = GridMotion(model.grid, scene.loaded.flow)
-            else:
-                provider = scene.loaded.flow.polynomial
-            self._current = (number, model, provider)
+            formed = form_hydrodynamics(scene.loaded, scene.plan, cache=self._models.cache)
+            self._current = (number, formed.model, formed.provider)
         return scene, *self._current[1:]
 
 

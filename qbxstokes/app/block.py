@@ -222,6 +222,7 @@ def _compute(
             len(chosen),
             loads,
             constraints,
+            evaluation="compiled",  # a sweep repays the import, however small its blocks
             inertia=case.body.inertia,
         )
         initial = equations.initial_state(
@@ -234,7 +235,10 @@ def _compute(
             case.time.tolerance,
             chunk_samples=len(result.times) + 1,
             interrupted=poke,
+            longest_step=None if equations.steady else float(result.times[-1]) / 50.0,
         )
+        if trajectory.refusal:
+            raise ConvergenceError(trajectory.refusal)
         if not np.isfinite(trajectory.states).all():
             raise ConvergenceError("the state is not finite")
     except (ConvergenceError, FlowError, ArithmeticError) as error:

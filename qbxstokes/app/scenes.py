@@ -26,6 +26,12 @@ Indices = NDArray[np.int64]
 
 STOKES: Key = ("body", "stokes_number")
 _POSITION: Key = ("start", "position")
+# Sections that a sweep has no use for, and what it has in their place.
+_SINGLE = {
+    "events": "a sweep takes periods and averages from the samples; leave it out",
+    "checkpoint": "a sweep keeps every finished block; leave it out",
+    "field": "draw the field of one trajectory as a motion of its own",
+}
 # What one block may hold in memory while its quantities are computed (bytes).
 BLOCK_BYTES = 64 * 2**20
 # Numbers held per sample of a trajectory: its state and the quantities, with copies under way.
@@ -59,6 +65,9 @@ class Scenes:
         assert loaded.case.time is not None
         self.loaded, self.space = loaded, loaded.space
         time = loaded.case.time
+        for name, right in _SINGLE.items():
+            if getattr(loaded.case, name) != type(loaded.case).model_fields[name].default:
+                raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
         self.samples = len(time.at) if time.at is not None else time.samples
         section = loaded.case.sweep
         most = BLOCK_BYTES // (8 * _NUMBERS_PER_SAMPLE * self.samples)

@@ -130,6 +130,36 @@ class Cache:
         return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
 
 
+class SharedCache(Cache):
+    """A cache that also holds its entries in memory, to be given to other ranks.
+
+    entries: what was loaded or stored here, or `receive`d from others.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        super().__init__(folder)
+        self.entries: dict[str, dict[str, NDArray[Any]]] = {}
+
+    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The arrays kept under this key, from memory if they are there."""
+        text = _text(kind, key)
+        if text not in self.entries:
+            arrays = super().load(kind, key)
+            if arrays is None:
+                return None
+            self.entries[text] = arrays
+        return dict(self.entries[text])
+
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep the arrays in memory and on disk."""
+        self.entries[_text(kind, key)] = dict(arrays)
+        super().store(kind, key, arrays)
+
+    def receive(self, entries: Mapping[str, dict[str, NDArray[Any]]]) -> None:
+        """Hold the entries of another rank."""
+        self.entries.update(entries)
+
+
 def _text(kind: str, key: Mapping[str, Any]) -> str:
     """The key as text: floats by their shortest exact form, keys in order."""
     whole = {"format": FORMAT_VERSION, "sources": fingerprint(), "kind": kind, **key}

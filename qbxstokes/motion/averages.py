@@ -91,7 +91,7 @@ def turn_averages(
     half_turns = np.floor(np.abs(turned) / np.pi + 1e-9)
     some = half_turns >= 1
 
-    def moment(count: Array) -> tuple[Array, Array]:
+    def moment(count: Array) -> tuple[NDArray[np.intp], Array]:
         """Interval and fraction of it at which `count` half-turns are complete."""
         goal = angle[0] + np.sign(turned) * np.pi * count
         beyond = np.abs(angle - angle[0]) >= np.abs(goal - angle[0]) * (1.0 - 1e-14)
