@@ -186,11 +186,12 @@ class _Former:
         if isinstance(scheme, GradedScheme) and degree is None:
             n_theta, needed, error = self._nodes(body)
             facts |= {"flow_nodes": [n_theta, needed], "flow_error": error}
-            n_phi = n_phi or needed
+            n_phi = n_phi or needed | 1
             if explicit_scheme(self._section) is None and n_theta > scheme.n_theta:
                 scheme = choose_scheme(self._section.tolerance, n_theta, scheme.side)
-        # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing.
-        n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4)
+        # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing. An odd
+        # number has no mode of half its own, which the preconditioner cannot invert.
+        n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
         facts |= {**vars(scheme), "n_phi": n_phi}
         spread = self._section.completion == "surface"
         n_modes = n_phi // 2 + 1
