@@ -189,8 +189,8 @@ class _Former:
             n_phi = n_phi or needed | 1
             if explicit_scheme(self._section) is None and n_theta > scheme.n_theta:
                 scheme = choose_scheme(self._section.tolerance, n_theta, scheme.side)
-        # A flow of degree d excites modes up to d + 1; 2 d + 4 nodes keep them from aliasing. An odd
-        # number has no mode of half its own, which the preconditioner cannot invert.
+        # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing. An
+        # odd number has no mode of half its own, which the preconditioner cannot invert.
         n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
         facts |= {**vars(scheme), "n_phi": n_phi}
         spread = self._section.completion == "surface"
