@@ -92,7 +92,7 @@ class ForceProvider(FaxenProvider):
 @pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("k", [0.3, 1.0, 4.0])
 def test_free_motion_is_the_faxen_law(degree: int, k: float) -> None:
-    flow = random_flow(degree)
+    flow = random_flow(degree).shifted((1.0, -2.0, 0.5))
     equations = RigidBodyEquations(exact_model(k), flow, 0.0, 6)
     y = random_state(equations)
     v, omega = equations.velocities(0.0, y)
@@ -126,7 +126,7 @@ def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: fl
 @pytest.mark.parametrize(("stokes_number", "degree"), [(0.0, 1), (2.0, 2)])
 def test_compiled_is_plain(stokes_number: float, degree: int) -> None:
     n = 70  # more than a tile
-    model, flow = exact_model(0.4), random_flow(degree)
+    model, flow = exact_model(0.4), random_flow(degree).shifted((1.0, -2.0, 0.5))
     equations = RigidBodyEquations(model, flow, stokes_number, n, evaluation="compiled")
     y = random_state(equations)
     columns = np.ascontiguousarray(y.T)

@@ -15,34 +15,16 @@ from typing import Any
 
 import numba
 
-from qbxstokes.motion import kernels
-
-_DEGREES = {
-    1: "free_motion_linear",
-    2: "free_motion_quadratic",
-    3: "free_motion_cubic",
-}
+from qbxstokes.motion.binding import bind
 
 
 @cache
 def loops(degree: int) -> dict[str, Callable[..., None]]:
-    """The loops over a block, by name, for flows of one degree.
+    """The loops over a block, by name, for flows of one degree."""
 
-    The degree is fixed before compilation, since a branch inside the loop would keep the compiler
-    from working on several bodies at once.
-    """
-    plain = {
-        name: function
-        for name, function in vars(kernels).items()
-        if isinstance(function, FunctionType) and function.__module__ == kernels.__name__
-    }
-    plain["free_motion"] = plain[_DEGREES[degree]]
-    namespace: dict[str, Any] = dict(vars(kernels))
-    for name, function in plain.items():
-        bound = FunctionType(function.__code__, namespace, name, function.__defaults__)
-        bound.__module__ = function.__module__
-        bound.__qualname__ = f"{name}_{degree}"  # the cache tells functions apart by this name
-        is_loop = name.endswith("_block")
-        options = {"cache": True} if is_loop else {"forceinline": True}
-        namespace[name] = numba.njit(error_model="numpy", **options)(bound)
-    return {name: namespace[name] for name in plain if name.endswith("_block")}
+    def finish(name: str, function: FunctionType) -> Any:
+        # The cache tells functions apart by their qualified names, which hold the degree.
+        options = {"cache": True} if name.endswith("_block") else {"forceinline": True}
+        return numba.njit(error_model="numpy", **options)(function)
+
+    return {name: run for name, run in bind(degree, finish).items() if name.endswith("_block")}

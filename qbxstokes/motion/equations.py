@@ -31,6 +31,7 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import kernels
+from qbxstokes.motion.binding import bind
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
@@ -178,6 +179,9 @@ class RigidBodyEquations:
         self._steady_loads = loads is None or not any(callable(v) for v in _load_fields(loads))
         if loads is not None:
             self._fill_loads(0.0)
+        # dy/dt as a tuple, (t, rows) -> n_state rows, from the numbers of a single body or from
+        # rows (n_bodies,), plain or complex.
+        self.rate_of_rows: Callable[[float, Any], Any] = self._whole_kernel() or self._pieces
 
     def repeated(self, count: int) -> RigidBodyEquations:
         """The equations of `count` times the same bodies: many instants as many bodies.
@@ -295,12 +299,6 @@ class RigidBodyEquations:
         """Write dy/dt, (n_state, n_bodies), by the plain kernels."""
         for row, value in zip(out, self.rate_of_rows(t, self._rows(y)), strict=True):
             row[:] = value
-
-    def rate_of_rows(self, t: float, rows: Any) -> Any:
-        """dy/dt as a tuple, from the n_state numbers of a single body or rows (n_bodies,)."""
-        if self._table is not None and self._unconstrained:
-            return self._polynomial_rate(t, rows)
-        return self._rate(t, rows, self._motion(t, rows))
 
     def jacobian(self, t: float, y: Array, out: Array) -> None:
         """Write the Jacobian, (n_bodies, n_state, n_state), by the plain kernels.
@@ -425,14 +423,22 @@ class RigidBodyEquations:
             self._fill_loads(t)
         return self._load_rows
 
-    def _polynomial_rate(self, t: float, rows: Any) -> Any:
-        """The kernels in one piece: polynomial flow, no constraints."""
-        loads = None if self._loads is None else self._rows(self._loads_at(t))
-        arguments: list[Any] = [*rows, self._flow, self._law, self._mobility, loads]
-        if self.massless:
-            return kernels.massless(*arguments)
-        arguments += [self._rows(self._rates), self._gyration, self._follow]
-        return kernels.inertial(*arguments)
+    def _whole_kernel(self) -> Callable[[float, Any], Any] | None:
+        """dy/dt by the kernels in one piece: for polynomial flows without constraints."""
+        if self._table is None or not self._unconstrained:
+            return None
+        kernel = bind(int(self._table[0]))["massless" if self.massless else "inertial"]
+        head = (self._flow, self._law, self._mobility)
+        tail = () if self.massless else (self._rows(self._rates), self._gyration, self._follow)
+        if self._steady_loads:
+            loads = None if self._loads is None else self._rows(self._load_rows)
+            constants = (*head, loads, *tail)
+            return lambda t, rows: kernel(*rows, *constants)
+        return lambda t, rows: kernel(*rows, *head, self._rows(self._loads_at(t)), *tail)
+
+    def _pieces(self, t: float, rows: Any) -> Any:
+        """dy/dt put together from the kernels, for providers and constraints."""
+        return self._rate(t, rows, self._motion(t, rows))
 
     def _free(self, t: float, rows: Any) -> Any:
         """Free motion, six numbers or rows."""

@@ -8,8 +8,8 @@ so that h may be 1e-100 (Squire & Trapp, SIAM Rev. 40, 1998).
 
 The state of a body is x (centre, space), q (quaternion) and, for St > 0, V (velocity, space) and
 W (angular velocity, body). Flow derivatives come packed, symmetric indices once:
-first = (u_i, then A_ij by rows), second = (d_j d_k u_i for jk = 11 22 33 12 13 23, by i),
-third = (d_j d_k d_l u_i for 111 112 113 122 123 133 222 223 233 333, by i), at the space origin.
+velocity u_i, gradient A_ij by rows, second = (d_j d_k u_i for jk = 11 22 33 12 13 23, by i),
+third = (d_j d_k d_l u_i for 111 112 113 122 123 133 222 223 233 333, by i), at the flow's origin.
 
 The right-hand side does not see the length of q: R(q) is divided by |q|^2, so that f is homogeneous
 in q, a Runge-Kutta step commutes with scaling q, and q may be scaled to unit length at any time
@@ -61,9 +61,10 @@ def turning(
 ) -> Vector:
     """half * curl + linear * d x (E d) of a gradient A[i, j] given by rows, E = sym A."""
     a11, a12, a13, a21, a22, a23, a31, a32, a33 = gradient
-    e1 = 2.0 * a11 * d1 + (a12 + a21) * d2 + (a13 + a31) * d3
-    e2 = (a12 + a21) * d1 + 2.0 * a22 * d2 + (a23 + a32) * d3
-    e3 = (a13 + a31) * d1 + (a23 + a32) * d2 + 2.0 * a33 * d3
+    s12, s13, s23 = a12 + a21, a13 + a31, a23 + a32
+    e1 = (a11 + a11) * d1 + s12 * d2 + s13 * d3
+    e2 = s12 * d1 + (a22 + a22) * d2 + s23 * d3
+    e3 = s13 * d1 + s23 * d2 + (a33 + a33) * d3
     c = 0.5 * linear
     return (
         half * (a32 - a23) + c * (d2 * e3 - d3 * e2),
@@ -169,9 +170,9 @@ def free_motion_linear(
     U = u, Omega = w/2 + lambda d x (E d) (Jeffery, Proc. R. Soc. A 102, 1922, eq. 37 with
     lambda = (1 - k^2)/(1 + k^2); Bretherton, J. Fluid Mech. 14, 1962).
     """
-    first = flow[1]
-    u1, u2, u3, a11, a12, a13, a21, a22, a23, a31, a32, a33 = first
-    o1, o2, o3 = turning(d1, d2, d3, first[3:12], 0.5, law[0])
+    u1, u2, u3 = flow[1]
+    a11, a12, a13, a21, a22, a23, a31, a32, a33 = flow[2]
+    o1, o2, o3 = turning(d1, d2, d3, flow[2], 0.5, law[0])
     return (
         u1 + a11 * x1 + a12 * x2 + a13 * x3,
         u2 + a21 * x1 + a22 * x2 + a23 * x3,
@@ -182,14 +183,17 @@ def free_motion_linear(
     )
 
 
-def velocity_and_gradient(x1: Scalar, x2: Scalar, x3: Scalar, first: Any, m: Matrix) -> Any:
-    """u and then A by rows at x, from M = B x: u = v + (A0 + M/2) x, A = A0 + M."""
-    u1, u2, u3, a11, a12, a13, a21, a22, a23, a31, a32, a33 = first
+def velocity_and_gradient(x1: Scalar, x2: Scalar, x3: Scalar, flow: Any, m: Matrix) -> Any:
+    """u (3) and A by rows (9) at x, from M = B x: u = v + (A0 + M/2) x, A = A0 + M."""
+    u1, u2, u3 = flow[1]
+    a11, a12, a13, a21, a22, a23, a31, a32, a33 = flow[2]
     m11, m12, m13, m21, m22, m23, m31, m32, m33 = m
-    return (
+    velocity = (
         u1 + (a11 + 0.5 * m11) * x1 + (a12 + 0.5 * m12) * x2 + (a13 + 0.5 * m13) * x3,
         u2 + (a21 + 0.5 * m21) * x1 + (a22 + 0.5 * m22) * x2 + (a23 + 0.5 * m23) * x3,
         u3 + (a31 + 0.5 * m31) * x1 + (a32 + 0.5 * m32) * x2 + (a33 + 0.5 * m33) * x3,
+    )
+    gradient = (
         a11 + m11,
         a12 + m12,
         a13 + m13,
@@ -200,21 +204,27 @@ def velocity_and_gradient(x1: Scalar, x2: Scalar, x3: Scalar, first: Any, m: Mat
         a32 + m32,
         a33 + m33,
     )
+    return velocity, gradient
 
 
-def add_third(x1: Scalar, x2: Scalar, x3: Scalar, local: Any, second: Any, n: Any) -> Any:
-    """u, A and B at x (12 + 18 numbers) from those of degree 2 and N = C x: + Nxx/6, Nx/2, N."""
-    u1, u2, u3, a11, a12, a13, a21, a22, a23, a31, a32, a33 = local
+def add_third(
+    x1: Scalar, x2: Scalar, x3: Scalar, velocity: Any, gradient: Any, second: Any, n: Any
+) -> Any:
+    """u, A and B at x from those of degree 2 and N = C x: they gain Nxx/6, Nx/2 and N."""
+    u1, u2, u3 = velocity
+    a11, a12, a13, a21, a22, a23, a31, a32, a33 = gradient
     b11, b12, b13, b14, b15, b16, b21, b22, b23, b24, b25, b26, b31, b32, b33, b34, b35, b36 = (
         second
     )
     n11, n12, n13, n14, n15, n16, n21, n22, n23, n24, n25, n26, n31, n32, n33, n34, n35, n36 = n
     m11, m12, m13, m21, m22, m23, m31, m32, m33 = contract(n, x1, x2, x3)
     c = 1.0 / 6.0
-    return (
+    velocity = (
         u1 + c * (m11 * x1 + m12 * x2 + m13 * x3),
         u2 + c * (m21 * x1 + m22 * x2 + m23 * x3),
         u3 + c * (m31 * x1 + m32 * x2 + m33 * x3),
+    )
+    gradient = (
         a11 + 0.5 * m11,
         a12 + 0.5 * m12,
         a13 + 0.5 * m13,
@@ -224,6 +234,8 @@ def add_third(x1: Scalar, x2: Scalar, x3: Scalar, local: Any, second: Any, n: An
         a31 + 0.5 * m31,
         a32 + 0.5 * m32,
         a33 + 0.5 * m33,
+    )
+    second = (
         b11 + n11,
         b12 + n12,
         b13 + n13,
@@ -243,6 +255,7 @@ def add_third(x1: Scalar, x2: Scalar, x3: Scalar, local: Any, second: Any, n: An
         b35 + n35,
         b36 + n36,
     )
+    return velocity, gradient, second
 
 
 def free_motion_quadratic(
@@ -261,13 +274,12 @@ def free_motion_quadratic(
     (ellipsoid: Brenner, Chem. Eng. Sci. 19, 1964; Kim & Karrila, Microhydrodynamics, 1991, ch. 3;
     spheroid in a paraboloidal flow: Chwang, J. Fluid Mech. 72, 1975).
     """
-    _, first, second, _, _ = flow
-    linear, quadratic, _ = law
+    second = flow[3]
     m = contract(second, x1, x2, x3)
-    local = velocity_and_gradient(x1, x2, x3, first, m)
-    v1, v2, v3 = velocity_correction(d1, d2, d3, second, quadratic)
-    o1, o2, o3 = turning(d1, d2, d3, local[3:12], 0.5, linear)
-    return local[0] + v1, local[1] + v2, local[2] + v3, o1, o2, o3
+    (u1, u2, u3), gradient = velocity_and_gradient(x1, x2, x3, flow, m)
+    v1, v2, v3 = velocity_correction(d1, d2, d3, second, law[1])
+    o1, o2, o3 = turning(d1, d2, d3, gradient, 0.5, law[0])
+    return u1 + v1, u2 + v2, u3 + v3, o1, o2, o3
 
 
 def turning_correction(d1: Scalar, d2: Scalar, d3: Scalar, third: Any, cubic: Any) -> Vector:
@@ -299,15 +311,14 @@ def free_motion_cubic(
 
     The law of `free_motion_quadratic` with B taken at the centre, plus `turning_correction`.
     """
-    _, first, second, third, _ = flow
-    linear, quadratic, cubic = law
-    m = contract(second, x1, x2, x3)
-    local = velocity_and_gradient(x1, x2, x3, first, m)
-    local = add_third(x1, x2, x3, local, second, contract_third(third, x1, x2, x3))
-    v1, v2, v3 = velocity_correction(d1, d2, d3, local[12:30], quadratic)
-    o1, o2, o3 = turning(d1, d2, d3, local[3:12], 0.5, linear)
-    p1, p2, p3 = turning_correction(d1, d2, d3, third, cubic)
-    return local[0] + v1, local[1] + v2, local[2] + v3, o1 + p1, o2 + p2, o3 + p3
+    _, _, _, second0, third, _ = flow
+    m, n = contract(second0, x1, x2, x3), contract_third(third, x1, x2, x3)
+    velocity, gradient0 = velocity_and_gradient(x1, x2, x3, flow, m)
+    (u1, u2, u3), gradient, second = add_third(x1, x2, x3, velocity, gradient0, second0, n)
+    v1, v2, v3 = velocity_correction(d1, d2, d3, second, law[1])
+    o1, o2, o3 = turning(d1, d2, d3, gradient, 0.5, law[0])
+    p1, p2, p3 = turning_correction(d1, d2, d3, third, law[2])
+    return u1 + v1, u2 + v2, u3 + v3, o1 + p1, o2 + p2, o3 + p3
 
 
 def driven_motion(motion: Twist, axes: Matrix, mobility: Any, loads: Any) -> Twist:
@@ -410,11 +421,24 @@ def free_motion(
 ) -> Twist:
     """Free velocity and angular velocity (space frame) in a polynomial flow.
 
-    flow: (degree, first, second, third, origin), the derivatives taken at the origin; law: (linear,
-    quadratic, cubic) Faxen coefficients.
+    flow: (degree, velocity, gradient, second, third, origin), the derivatives taken at the origin;
+    law: (linear, quadratic, cubic) Faxen coefficients.
     """
-    o1, o2, o3 = flow[4]
-    x1, x2, x3 = x1 - o1, x2 - o2, x3 - o3
+    o1, o2, o3 = flow[5]
+    return free_motion_about(x1 - o1, x2 - o2, x3 - o3, d1, d2, d3, flow, law)
+
+
+def free_motion_about(
+    x1: Scalar,
+    x2: Scalar,
+    x3: Scalar,
+    d1: Scalar,
+    d2: Scalar,
+    d3: Scalar,
+    flow: Any,
+    law: Any,
+) -> Twist:
+    """`free_motion` with x relative to the flow's origin: the law of its degree."""
     if flow[0] <= 1:
         return free_motion_linear(x1, x2, x3, d1, d2, d3, flow, law)
     if flow[0] == 2:
@@ -495,7 +519,7 @@ def inertial(
 
 
 # Loops over the bodies of a block, to be compiled (compiled.py). y and dydt: (n_state, n_bodies);
-# table: (71,), the flow and the law as `tables` orders them; mobility: (4,); loads: (12, n_bodies)
+# table: (74,), the flow and the law as `tables` orders them; mobility: (4,); loads: (12, n_bodies)
 # or None; rates: (4, n_bodies); jacobian: (n_bodies, n_state, n_state); follow: as in `inertial`.
 # The bodies pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
 # works on several bodies at once. It may not reorder arithmetic, so that the numbers are those of
@@ -506,9 +530,10 @@ TILE = 64
 
 
 def tables(table: Any) -> Any:
-    """The flow (degree, first, second, third, origin) and the law (linear, quadratic, cubic)."""
+    """The flow and the law as `free_motion` takes them."""
     t = table
-    first = (t[1], t[2], t[3], t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12])
+    velocity = (t[1], t[2], t[3])
+    gradient = (t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12])
     second = (
         t[13],
         t[14],
@@ -564,7 +589,7 @@ def tables(table: Any) -> Any:
     quadratic = (t[62], t[63], t[64], t[65], t[66])
     cubic = (t[67], t[68], t[69], t[70])
     origin = (t[71], t[72], t[73])
-    return (int(t[0]), first, second, third, origin), (t[61], quadratic, cubic)
+    return (int(t[0]), velocity, gradient, second, third, origin), (t[61], quadratic, cubic)
 
 
 def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:
