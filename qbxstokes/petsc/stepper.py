@@ -54,8 +54,8 @@ IMPLICIT_COST = 50
 # Fewest steps of BDF between two cuts, unless so many samples wait.
 BDF_STEPS = 1000
 BDF_SAMPLES = 20_000
-# A rate no step survives, small enough that sums of it stay finite.
-OVERFLOWN = 1e100
+# Share of the longest step below which a step with a stage that has no value is given up.
+SHORTEST = 1e-4
 REASONS = {-1: "the nonlinear solve failed", -2: "too many steps were rejected"}
 
 
@@ -168,6 +168,7 @@ class _Counter:
     jacobians: int = 0
     failure: BaseException | None = field(default=None)
     refusal: FlowError | None = None  # the flow is singular where a stage was tried
+    astray: bool = False  # a stage of the present step was where the rate has no value
 
 
 def integrate(
@@ -237,6 +238,7 @@ class _Run:
     ) -> None:
         self.equations, self.checkpoint, self.times = equations, checkpoint, times
         self.stopped, self.refusal, self._longest = False, "", longest_step
+        self._largest = 0.0
         self.counter = _Counter(checkpoint.evaluations, checkpoint.jacobians)
         self._prefix, self._end = prefix, float(times[-1])
         self._guide = _Guide(equations, checkpoint, self._end, tolerance)
@@ -314,10 +316,11 @@ class _Run:
                 try:
                     rate.setArray(single(t, state.getArray(readonly=1).tolist()))
                 except (ZeroDivisionError, OverflowError):
-                    rate.set(OVERFLOWN)  # a stage far off: the error estimate rejects the step
+                    counter.astray = True
+                    rate.set(0.0)  # whatever comes of it is taken back
                 except FlowError as refusal:
-                    counter.refusal = refusal
-                    rate.set(OVERFLOWN)
+                    counter.refusal, counter.astray = refusal, True
+                    rate.set(0.0)  # whatever comes of it is taken back
                 except BaseException as failure:
                     counter.failure = failure
                     raise
@@ -386,7 +389,7 @@ class _Run:
         def converged(_: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             solution, correction, residual = norms
             if not math.isfinite(residual):
-                return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
+                return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
             if iteration > 0 and correction <= enough * max(1.0, solution):
                 return int(PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE)
             return int(PETSc.SNES.ConvergedReason.CONVERGED_ITERATING)
@@ -515,7 +518,31 @@ class _Run:
         return Step(before, after, first, last, state)
 
     def _step(self) -> None:
-        """One accepted step; every way it can fail ends in a ConvergenceError."""
+        """One accepted step; every way it can fail ends in a ConvergenceError.
+
+        A step with a stage where the rate has no value is taken back and tried a quarter as long:
+        the error estimate does not see the stages that both formulas weigh alike.
+        """
+        ts, counter = self._ts, self.counter
+        while True:
+            counter.astray = False
+            before, length, number = ts.getTime(), ts.getTimeStep(), ts.getStepNumber()
+            start = self._vector.getArray(readonly=1).copy()
+            self._try_step()
+            if not counter.astray:
+                self._largest = max(self._largest, ts.getTime() - before)
+                break
+            if length < SHORTEST * self._largest or length < 1e-14 * self._end:
+                raise self._failed("the rates have no value however short the step")
+            self._vector.setArray(start)
+            ts.setTime(before)
+            ts.setStepNumber(number)
+            ts.setTimeStep(0.25 * length)
+            ts.restartStep()
+        if self._monitored:
+            ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
+
+    def _try_step(self) -> None:
         ts = self._ts
         try:
             ts.step()
@@ -531,8 +558,6 @@ class _Run:
             raise self._failed("the state is no longer finite")  # PETSc accepts such a step
         if ts.getStepNumber() >= ts.getMaxSteps():
             raise self._failed("the largest number of steps (-ts_max_steps) is taken")
-        if self._monitored:
-            ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
 
     def _failed(self, what: str) -> ConvergenceError | FlowError:
         ts = self._ts
