@@ -83,3 +83,10 @@ def write_case(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def asked_for(request: pytest.FixtureRequest) -> None:
+    """Skips a test of minutes unless the command line says `-m slow`."""
+    if "slow" not in request.config.option.markexpr.split():
+        pytest.skip("takes minutes: run with -m slow")

@@ -1,0 +1,140 @@
+"""Events between steps: roots, half-turns, turning points, rest, regions, singular points."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.flows import build_flow
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.events import (
+    Event,
+    Events,
+    Passage,
+    leaving,
+    meeting,
+    root,
+    steady,
+    turning_point,
+)
+from qbxstokes.petsc.stepper import Checkpoint, Chunk, integrate
+from qbxstokes.reference import faxen, jeffery
+
+SHEAR = build_flow({"type": "shear"}).polynomial
+
+
+def equations_of(k: float, flow: Any = SHEAR, stokes: float = 0.0) -> RigidBodyEquations:
+    model = BodyModel(
+        k,
+        Resistance(*faxen.resistance(k)),
+        FaxenCoefficients(*faxen.body_coefficients(k)),
+        None,
+        0.0,
+    )
+    return RigidBodyEquations(model, flow, stokes)
+
+
+def watch(equations: RigidBodyEquations, *events: Event, half_turns: bool = False) -> Events:
+    k = equations.model.aspect_ratio
+    passage = Passage.of(SHEAR.gradient_tensor, k) if half_turns else None
+    return Events(equations, passage, events, ShearFrame.of(SHEAR.gradient_tensor))
+
+
+@pytest.mark.parametrize("steepness", [1.0, 30.0, 1e6])
+def test_root_is_found_to_rounding(steepness: float) -> None:
+    def function(x: float) -> float:
+        return math.tanh(steepness * (x - 0.3)) + 1e-3 * (x - 0.3)
+
+    assert root(function, 0.0, 1.0, function(0.0), function(1.0)) == pytest.approx(0.3, rel=4e-15)
+
+
+@pytest.mark.parametrize("k", [0.05, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("method", ["8vr", "5dp"])
+def test_half_turns_have_jefferys_period(k: float, method: str) -> None:
+    equations = equations_of(k)
+    period = jeffery.period(k)
+    start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array([1.0, 1.0, 1.0])))
+    events = watch(equations, half_turns=True)
+    integrate(equations, start, [3.2 * period], 1e-9, method=method, observe=events)
+    rows = events.take()["half_turns"]
+    assert len(rows) in (6, 7)
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 0.5 * period, rtol=1e-7)
+    np.testing.assert_allclose(rows[2:, 11], period, rtol=1e-7)
+    np.testing.assert_allclose(rows[:, 10], jeffery.orbit_constant(k, [1, 1, 1]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("axis", [[0, 0, 1], [1, 0, 0], [0, 1, 1e-12]])
+def test_log_rolling_and_tumbling_are_no_special_cases(axis: list[float]) -> None:
+    equations = equations_of(0.5)
+    start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array(axis, dtype=float)))
+    events = watch(equations, half_turns=True)
+    integrate(equations, start, [50.0], 1e-8, observe=events)
+    assert events.counts.get("half_turns", 0) == (0 if axis[2] == 1 else 6)
+
+
+def test_watching_does_not_change_the_motion() -> None:
+    equations = equations_of(0.5)
+    start = equations.initial_state([0, 1, 0], rotation.from_axis(np.array([1.0, 1.0, 1.0])))
+    events = watch(equations, turning_point(equations, "d3", 1.0), half_turns=True)
+    watched = integrate(equations, start, [10.0, 40.0], 1e-9, observe=events)
+    alone = integrate(equations, start, [10.0, 40.0], 1e-9)
+    np.testing.assert_array_equal(watched.states, alone.states)
+    rows = events.take()["turning_d3"]
+    # d3 of an orbit is extreme where the axis passes the planes of d1 = 0 and d2 = 0.
+    np.testing.assert_allclose(np.min(np.abs(rows[:, 4:6]), axis=1), 0.0, atol=1e-7)
+
+
+def test_leaving_a_region_ends_the_run_there() -> None:
+    equations = equations_of(0.5)
+    start = equations.initial_state([0, 2, 0], [1, 0, 0, 0])  # moves with u = x2 = 2
+    events = watch(equations, leaving((None, None, None), (5.0, None, None)))
+    found = integrate(equations, start, np.linspace(0, 10, 11), 1e-9, observe=events)
+    assert found.stopped
+    assert found.times[-1] == pytest.approx(2.5, rel=1e-12)
+    assert found.states[-1, 0, 0] == pytest.approx(5.0, rel=1e-12)
+    assert events.ended[0] == "left_region"
+
+
+def test_steady_state_in_extension_is_found() -> None:
+    flow = build_flow({"type": "linear", "gradient": [[1, 0, 0], [0, -0.5, 0], [0, 0, -0.5]]})
+    equations = equations_of(0.5, flow.polynomial)
+    start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array([1.0, 0.5, 0.2])))
+    events = watch(equations, steady(equations, 1e-6, True))
+    found = integrate(equations, start, [200.0], 1e-10, observe=events)
+    assert found.stopped
+    # The angle to the axis of extension falls as exp(-3 lambda t/2), lambda = 3/5.
+    slope = np.hypot(0.5, 0.2) * np.exp(-0.9 * found.times[-1])
+    assert 0.9 * slope == pytest.approx(1e-6, rel=1e-4)
+
+
+def test_meeting_a_point_is_seen_from_the_surface() -> None:
+    equations = equations_of(1.0)
+    start = equations.initial_state([-4, 1, 0], [1, 0, 0, 0])  # a unit sphere moving at speed 1
+    events = watch(equations, meeting(np.array([[0.0, 1.0, 0.0]]), 1.0, 0.5))
+    found = integrate(equations, start, [20.0], 1e-9, observe=events)
+    assert found.states[-1, 0, 0] == pytest.approx(-1.5, abs=1e-8)
+
+
+def test_events_of_a_resumed_run_are_those_of_a_whole_one() -> None:
+    equations = equations_of(0.5)
+    start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array([1.0, 1.0, 1.0])))
+    arguments: dict[str, Any] = {"tolerance": 1e-9, "chunk_steps": 40}
+    events, saved, rows = watch(equations, half_turns=True), [], []
+
+    def keep(chunk: Chunk) -> None:
+        rows.extend(events.take().get("half_turns", np.empty((0, 15))).tolist())
+        saved.append((chunk.checkpoint, events.state(), len(rows)))
+
+    integrate(equations, start, [60.0], observe=events, on_chunk=keep, **arguments)
+    checkpoint, state, count = saved[1]
+    assert isinstance(checkpoint, Checkpoint)
+    later = watch(equations, half_turns=True)
+    later.restore(state)
+    integrate(equations, checkpoint, [60.0], observe=later, **arguments)
+    np.testing.assert_array_equal(later.take()["half_turns"], np.array(rows[count:]))
