@@ -305,6 +305,8 @@ def _listed(key: Key, given: Sequence[Any], where: Key) -> Column:
 
 def _number_or_same(value: Any) -> Any:
     """'90 deg' and '1/50' as numbers; words, lists of such, and everything else as it is."""
+    if value in ("inf", ".inf"):
+        return math.inf  # tumbling, as an orbit constant
     if isinstance(value, str):
         try:
             return to_angle(value)
