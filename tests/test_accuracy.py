@@ -206,7 +206,10 @@ def test_every_skip_changes_no_more_than_rounding(k):
         assert np.max(np.abs(before - after)) < 1e-11 * np.max(np.abs(before)), name
 
 
-def test_the_uniform_scheme_gets_no_estimate_beyond_the_misfit():
-    body = accurate_body(Spheroid(0.7), 1e-10, UniformScheme(10, 6, 6, 0.3, 6))
-    assert body.model.error_parts is None
-    assert 0 < body.model.error_estimate < 1
+@pytest.mark.parametrize(("order", "kappa"), [(2, 4), (12, 4), (12, 2)])
+def test_the_estimate_of_the_uniform_scheme_sees_truncation_and_quadrature(order, kappa):
+    # On a sphere every scheme obeys the law of polynomial flows: its misfit alone sees nothing.
+    body = accurate_body(Spheroid(1.0), 1e-10, UniformScheme(10, 6, order, 0.6, kappa))
+    error = model_error(body)
+    assert error > 1e-6
+    assert 0.5 * error < body.model.error_estimate < 50 * error

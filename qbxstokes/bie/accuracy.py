@@ -150,19 +150,16 @@ def accurate_body(
 ) -> AccurateBody:
     """The body model to a relative tolerance, refined until the estimate meets it.
 
-    scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported
-    (for the uniform scheme, only the misfit of the law for polynomial flows).
+    scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported.
     degree: of a polynomial flow; what only flows of higher degree would feel is not estimated.
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
-    if isinstance(scheme, UniformScheme):
-        return plain_body(spheroid, scheme, completion, solver, form_rows)
     trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
         body = _form(spheroid, trial, completion, solver, form_rows)
         parts = estimate_error(body, completion, form_rows, degree)
-        refined = _refined(trial, parts)
+        refined = None if isinstance(trial, UniformScheme) else _refined(trial, parts)
         if scheme is not None or parts.total <= tolerance or refined is None:
             break
         trial = refined
@@ -241,22 +238,30 @@ def estimate_error(
 ) -> ErrorParts:
     """Relative errors of resistance and free motion by cause; costs about two more set-ups.
 
-    No closed form enters. For `GradedScheme`; a part is zero where it does not exist.
+    No closed form enters. A part is zero where it does not exist.
     """
     scheme, spheroid = body.scheme, body.functional.grid.spheroid
-    if not isinstance(scheme, GradedScheme):
-        raise ValueError("the error is estimated for the graded scheme only")
     if not isinstance(body, _Body):
         body = _form(spheroid, scheme, completion, DirectSolver, form_rows)
-    finer = replace(scheme, panel_order=scheme.panel_order + 2)
-    higher = replace(finer, expansion_order=scheme.expansion_order + 2)
-    by_panels = _form(spheroid, finer, completion, DirectSolver, form_rows)
-    by_order = _form(spheroid, higher, completion, DirectSolver, form_rows)
     solver = 0.0
     if body.direct is not body.functional:
         operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
         solver = model_distance(body.model, _model(operators, body.direct), degree)
     rounding = _rounding(body, completion, degree)
+    if isinstance(scheme, UniformScheme):
+        changes = {
+            name: model_distance(
+                body.model,
+                _form(spheroid, other, completion, DirectSolver, form_rows).model,
+                degree,
+            )
+            for name, other in _coarser(scheme).items()
+        }
+        return ErrorParts(**changes, solver=solver, rounding=rounding)
+    finer = replace(scheme, panel_order=scheme.panel_order + 2)
+    higher = replace(finer, expansion_order=scheme.expansion_order + 2)
+    by_panels = _form(spheroid, finer, completion, DirectSolver, form_rows)
+    by_order = _form(spheroid, higher, completion, DirectSolver, form_rows)
     # A difference no larger than the rounding errors of its terms shows these, counted already.
     # The finer one errs as well, by less.
     quadrature = 1.5 * model_distance(body.model, by_panels.model, degree) - rounding
@@ -269,6 +274,23 @@ def estimate_error(
         solver=solver,
         rounding=rounding,
     )
+
+
+def _coarser(scheme: UniformScheme) -> dict[str, UniformScheme]:
+    """Schemes with one parameter lowered, by the part of the error that its change shows.
+
+    Lower ones cost less than higher ones would, and overestimate; the lowest are raised instead.
+    The radius in lengths stays, whatever the spacing of the nodes.
+    """
+    kappa, order, nodes = scheme.upsampling, scheme.expansion_order, scheme.n_theta
+    fewer = nodes - 2 if nodes >= 6 else nodes + 2
+    return {
+        "quadrature": replace(scheme, upsampling=kappa - 1 if kappa > 1 else 2),
+        "truncation": replace(scheme, expansion_order=order - 2 if order >= 2 else order + 2),
+        "resolution": replace(
+            scheme, n_theta=fewer, r_over_h=scheme.r_over_h * fewer / scheme.n_theta
+        ),
+    }
 
 
 def model_distance(one: BodyModel, other: BodyModel, degree: int = 3) -> float:

@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.errors import ConvergenceError
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -74,8 +76,20 @@ class ModalOperator:
 
     @cached_property
     def inverse(self) -> ModalOperator:
-        """The inverse operator, mode by mode: an exact preconditioner."""
-        return ModalOperator(np.linalg.inv(self.blocks), self.n_theta, self.n_phi)
+        """The inverse operator, mode by mode: an exact preconditioner.
+
+        Raises ConvergenceError where the discrete operator has none, as with order 0.
+        """
+        try:
+            blocks = np.linalg.inv(self.blocks)
+        except np.linalg.LinAlgError:
+            blocks = np.full_like(self.blocks, np.nan)
+        if not np.all(np.isfinite(blocks)):
+            raise ConvergenceError(
+                "the discrete integral equation is singular: its nodes are too few; raise "
+                "hydrodynamics.expansion_order, or leave the numbers out and give a tolerance"
+            )
+        return ModalOperator(blocks, self.n_theta, self.n_phi)
 
     @cached_property
     def norm(self) -> float:
