@@ -36,6 +36,7 @@ from qbxstokes.io.tables import Table
 
 Block = tuple[str, dict[str, Any]]  # study, parameters
 _HEAD = "study.json"
+_LONGEST = 120  # rows of a table that is printed as well as stored
 
 
 def run_studies(
@@ -141,9 +142,7 @@ def _compute(
     clock: Clock,
 ) -> list[str]:
     """Compute what is not there yet; returns the failures of all ranks."""
-    todo = on_root(
-        comm, lambda: [n for n in range(len(blocks)) if not _part(folder, n).exists()]
-    )
+    todo = on_root(comm, lambda: [n for n in range(len(blocks)) if not _part(folder, n).exists()])
     counters = HandOut(comm)
     progress = None
     if comm.rank == 0 and not options.quiet:
@@ -220,8 +219,10 @@ def _finish(
                     stem = plan.output.with_name(f"{plan.output.stem}_{table.name}.csv")
                     files.append(str(table.write_csv(stem)))
                 failures = failures + [f"study {reason}" for reason in failed_rows(table)]
-                if speak:
+                if speak and len(table) <= _LONGEST:
                     print(f"\n{table.to_text(WIDTH)}", flush=True)
+                elif speak:
+                    print(f"\n{table.title}\n{len(table)} rows, in the result", flush=True)
             made += tables
             if section.figures:
                 files += _draw(study, {table.name: table for table in tables}, plan.output)

@@ -1,0 +1,250 @@
+"""Drift between Jeffery orbits in shear: prolate bodies to tumbling, oblate ones to rolling."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from qbxstokes.app.study import simulate
+from qbxstokes.app.study.linear_shear import fill
+from qbxstokes.io.tables import Column, Table
+from qbxstokes.reference import heavy, jeffery
+
+HALF_TURNS = 8
+# Tilts from rolling and from the plane of shear that count as small: at the start of runs that
+# leave, and of runs that arrive.
+LEAVING, ARRIVING = 1e-6, 0.02
+ORBITS = ("rolling", "C = 1", "tumbling")
+
+
+def blocks(full: bool) -> list[dict[str, Any]]:
+    """Groups of Stokes numbers per aspect ratio, coefficients, and runs shown in time."""
+    ratios = (0.1, 0.2, 0.5, 2.0, 5.0, 10.0) if full else (0.5, 2.0)
+    lags = np.geomspace(0.01, 30.0, 12) if full else np.array([0.03, 1.0])
+    found: list[dict[str, Any]] = []
+    for k in ratios:
+        stokes = [float(f"{lag * heavy.relaxation_rates(k)[2]:.4g}") for lag in lags]
+        found += [{"k": k, "stokes_numbers": group} for group in simulate.decades(stokes, 6.0)]
+    found += [{"k": k, "coefficients": 25 if full else 5} for k in ratios]
+    shown = ((0.5, 10.0), (0.5, 40.0), (2.0, 1.0), (2.0, 4.0)) if full else ((0.5, 10.0),)
+    return found + [{"k": k, "history": st} for k, st in shown]
+
+
+def compute(
+    k: float,
+    stokes_numbers: list[float] | None = None,
+    coefficients: int | None = None,
+    history: float | None = None,
+) -> list[dict[str, Any]]:
+    """Drift rates, the small-St coefficient over the orbit constant, or C in time."""
+    if stokes_numbers is not None:
+        return _rates(k, stokes_numbers)
+    if coefficients is not None:
+        return [
+            {
+                "table": "drift_coefficient",
+                "aspect_ratio": k,
+                "orbit_constant": c,
+                "coefficient": heavy.orbit_drift_coefficient(k, c),
+            }
+            for c in np.geomspace(0.01, 100.0, coefficients).tolist()
+        ]
+    assert history is not None
+    return _history(k, history)
+
+
+def _rates(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
+    """Rates of ln C near both limits at every St, and on the orbit C = 1 where they are small."""
+    n = len(stokes_numbers)
+    rolling, tumbling = (LEAVING, ARRIVING) if k < 1.0 else (ARRIVING, LEAVING)
+    constants = np.repeat([rolling, 1.0, 1.0 / tumbling], n)
+    stokes = np.tile(stokes_numbers, 3)
+    relaxed = 10.0 * max(stokes_numbers) / heavy.relaxation_rates(k)[2]
+    found = simulate.measure(
+        k,
+        simulate.shear(),
+        stokes,
+        simulate.orbit_axes(k, constants),
+        HALF_TURNS,
+        relaxed=relaxed,
+    )
+    rows = []
+    for i, st in enumerate(stokes.tolist()):
+        orbit = ORBITS[i // n]
+        limit = {"rolling": 0.0, "C = 1": 1.0, "tumbling": np.inf}[orbit]
+        if orbit == "rolling":
+            small, exact = heavy.rolling_drift_coefficient(k), heavy.rolling_exponent(k, st)
+        else:
+            small = heavy.orbit_drift_coefficient(k, limit)
+            exact = -heavy.tumbling_exponent(k, st) if orbit == "tumbling" else np.nan
+        if orbit == "C = 1" and abs(st * small) * (relaxed + 50.0) > 0.3:
+            continue  # it leaves the orbit before the transient is over
+        rows.append(
+            {
+                "table": "orbit_drift",
+                "aspect_ratio": k,
+                "orbit": orbit,
+                "stokes_number": st,
+                "rate": float(found.values["orbit_drift"][i]),
+                "uncertainty": float(found.errors["orbit_drift"][i]),
+                "theory": exact,
+                "rate_over_st": float(found.values["orbit_drift"][i]) / st,
+                "coefficient": small,
+            }
+        )
+    return rows
+
+
+def _history(k: float, stokes: float) -> list[dict[str, Any]]:
+    """C at whole half-turns from C = 0.3 (prolate) or 3 (oblate) on, and its averaged theory."""
+    start = 0.3 if k < 1.0 else 3.0
+    rate = abs(stokes * heavy.orbit_drift_coefficient(k, start))
+    times = np.linspace(0.0, 4.0 / rate, 4001)
+    axis = simulate.orbit_axes(k, start)
+    run = simulate.simulate(k, simulate.shear(), stokes, axis, times)
+    constant = jeffery.orbit_constant(k, run.samples["axis"][:, 0])
+    half = jeffery.period(k) / 2.0
+    steps = max(1, round(half / (times[1] - times[0])))
+    kernel = np.ones(steps) / steps
+    smooth = np.convolve(np.log(constant), kernel, mode="valid")
+    middle = times[: len(smooth)] + 0.5 * half
+    grid = np.geomspace(1e-3, 1e3, 121)
+    table = [heavy.orbit_drift_coefficient(k, c) for c in grid]
+
+    def slope(c: float) -> float:
+        return stokes * float(np.interp(np.log(c), np.log(grid), table))
+
+    theory, at = [], np.log(start)
+    clock = 0.0
+    for t in middle:
+        part = (t - clock) / 4
+        for _ in range(4):
+            half_way = at + 0.5 * part * slope(np.exp(at))
+            at += part * slope(np.exp(half_way))
+        clock = t
+        theory.append(at)
+    keep = slice(None, None, max(1, len(smooth) // 100))
+    return [
+        {
+            "table": "orbit_history",
+            "aspect_ratio": k,
+            "stokes_number": stokes,
+            "time": float(t),
+            "orbit_constant": float(np.exp(c)),
+            "theory": float(np.exp(e)),
+        }
+        for t, c, e in zip(middle[keep], smooth[keep], np.array(theory)[keep], strict=True)
+    ]
+
+
+_K = Column("aspect_ratio", "", "equatorial over polar radius", "g", "k")
+_ST = Column("stokes_number", "", "Stokes number", ".4g", "St")
+
+
+def tables(rows: list[dict[str, Any]]) -> list[Table]:
+    """Rates near both limits, the coefficient for small St, and orbits in time."""
+    rates = Table(
+        "orbit_drift",
+        "Rate of drift between orbits in shear, d(ln C)/dt",
+        (
+            _K,
+            Column("orbit", "", "near rolling, C = 1, or near tumbling"),
+            _ST,
+            Column("rate", "shear rate", "d(ln C)/dt over whole half-turns", ".4e"),
+            Column("uncertainty", "shear rate", "two tolerances, two windows", ".0e"),
+            Column("theory", "shear rate", "exact exponent (eigenvalue, Floquet)", ".4e"),
+            Column("rate_over_st", "shear rate", "rate/St", ".4e", "rate/St"),
+            Column("coefficient", "shear rate", "limit of rate/St for St to 0", ".4e"),
+        ),
+        notes=[
+            "Positive: towards tumbling. Transients: ten relaxation times of the rotation; other "
+            "rules as in cases/README.md."
+        ],
+        plot={"x": "stokes_number", "y": "rate", "by": "aspect_ratio", "points": True},
+    )
+    coefficient = Table(
+        "drift_coefficient",
+        "Small-St coefficient of the drift, d(ln C)/dt = St b(C)",
+        (
+            _K,
+            Column("orbit_constant", "", "Jeffery's C", ".4g", "C"),
+            Column("coefficient", "shear rate", "b, averaged over the orbit", ".6e", "b"),
+        ),
+        notes=["Limits: b(0) = J3 lambda/(4 R) with lambda = (1 - k^2)/(1 + k^2)."],
+        plot={"x": "orbit_constant", "y": "coefficient", "by": "aspect_ratio"},
+    )
+    history = Table(
+        "orbit_history",
+        "Orbit constant in time",
+        (
+            _K,
+            _ST,
+            Column("time", "1/shear rate", "", ".1f"),
+            Column("orbit_constant", "", "geometric mean over a half-turn", ".4g", "C"),
+            Column("theory", "", "d(ln C)/dt = St b(C)", ".4g"),
+        ),
+        plot={"x": "time", "y": "orbit_constant", "by": "stokes_number"},
+    )
+    return fill([rates, coefficient, history], rows)
+
+
+def figures(made: dict[str, Table]) -> dict[str, Any]:
+    """Rates against St near rolling and tumbling, b(C), and C in time."""
+    from qbxstokes.plots import style
+
+    rates, coefficient, history = (
+        made[name] for name in ("orbit_drift", "drift_coefficient", "orbit_history")
+    )
+    figure = style.new_figure(style.PAGE, 5.0)
+    panels = figure.subplots(2, 2).ravel()
+    ratios = sorted(set(rates["aspect_ratio"].tolist()))
+    for panel, orbit in zip(panels[:2], ("rolling", "tumbling"), strict=True):
+        for index, k in enumerate(ratios):
+            color, _, marker = style.LINES[index]
+            chosen = (rates["aspect_ratio"] == k) & (rates["orbit"] == orbit)
+            order = np.argsort(rates["stokes_number"][chosen])
+            x, y, exact = (
+                rates[name][chosen][order] for name in ("stokes_number", "rate", "theory")
+            )
+            fill_with = "white" if k < 1.0 else color
+            panel.plot(x, np.abs(y), marker, color=color, markerfacecolor=fill_with, label=f"{k:g}")
+            panel.plot(x, np.abs(exact), color=color)
+            small = abs(rates["coefficient"][chosen][0])
+            panel.plot(x[:6], small * x[:6], color=color, linestyle=(0, (1, 1.2)))
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel(r"Stokes number $\mathrm{St}$")
+        panel.set_ylabel(r"$|\mathrm{d}\ln C/\mathrm{d}t|\,/\,$shear rate")
+        panel.set_title(f"near {orbit}", loc="left")
+    for index, k in enumerate(ratios):
+        chosen = coefficient["aspect_ratio"] == k
+        panels[2].plot(
+            coefficient["orbit_constant"][chosen],
+            np.abs(coefficient["coefficient"][chosen]),
+            color=style.LINES[index][0],
+            linestyle="solid" if k < 1.0 else (0, (4, 1.5)),
+        )
+    panels[2].set_xscale("log")
+    panels[2].set_yscale("log")
+    panels[2].set_xlabel("orbit constant $C$")
+    panels[2].set_ylabel(r"$|b|$, $\mathrm{d}\ln C/\mathrm{d}t=\mathrm{St}\,b$")
+    pairs = sorted(
+        set(zip(history["aspect_ratio"].tolist(), history["stokes_number"].tolist(), strict=True))
+    )
+    for index, (k, stokes) in enumerate(pairs):
+        chosen = (history["aspect_ratio"] == k) & (history["stokes_number"] == stokes)
+        t, c, exact = (history[n][chosen] for n in ("time", "orbit_constant", "theory"))
+        b = abs(stokes * heavy.orbit_drift_coefficient(k, 1.0))
+        color = style.LINES[index][0]
+        panels[3].plot(t * b, exact / (1.0 + exact), color=style.GREY, linewidth=2.2, zorder=1)
+        label = f"$k={k:g}$, $\\mathrm{{St}}={stokes:g}$"
+        panels[3].plot(t * b, c / (1.0 + c), color=color, linestyle=style.LINES[index][1],
+                       label=label)  # fmt: skip
+    panels[3].set_ylim(-0.02, 1.02)
+    panels[3].set_xlabel(r"$\mathrm{St}\,|b(1)|\,t$")
+    panels[3].set_ylabel("orbit $C/(1+C)$")
+    panels[3].legend(loc="center right")
+    figure.legend(*panels[0].get_legend_handles_labels(), title="$k$", loc="outside right upper")
+    style.letter_panels(list(panels))
+    return {"orbit_drift": figure}

@@ -1,0 +1,191 @@
+"""QBX over aspect ratios: fixed and automatic parameters, and those to recommend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qbxstokes.app.study import discretise
+from qbxstokes.app.study.linear_shear import fill
+from qbxstokes.bie.accuracy import AccurateBody, accurate_body, choose_scheme
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.io.tables import Column, Table
+from qbxstokes.qbx.operator import GradedScheme
+
+RATIOS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+TOLERANCES = (1e-4, 1e-7, 1e-10)
+# Cost of a trial of the uniform scheme: source nodes times targets times order.
+_DEAREST = 3e7
+
+
+def blocks(full: bool) -> list[dict[str, Any]]:
+    """One block per aspect ratio, and per aspect ratio and tolerance."""
+    ratios = RATIOS if full else (0.2, 2.0)
+    tolerances = TOLERANCES if full else (1e-4,)
+    found: list[dict[str, Any]] = [{"k": k} for k in ratios]
+    return found + [{"k": k, "tolerance": t} for k in ratios for t in tolerances]
+
+
+def compute(k: float, tolerance: float | None = None) -> list[dict[str, Any]]:
+    """Errors at fixed and automatic parameters, or the cheapest parameters for a tolerance."""
+    # The first expansion in a process waits for its compiler's cache; no timing shall.
+    discretise.formed(1.0, GradedScheme(4, 4, 0.3, 6))
+    discretise.formed(1.0, discretise.uniform(1.0, 6, 4, 0.3, 2))
+    return _errors(k) if tolerance is None else _recommended(k, tolerance)
+
+
+def _errors(k: float) -> list[dict[str, Any]]:
+    rows = []
+    n_theta = 20
+    ratio = discretise.largest_ratio(k, n_theta)
+    # Fixed: what serves k = 1/2 well. Adapted: the radius alone follows the body.
+    fixed_ratio = 0.5 * discretise.largest_ratio(0.5, n_theta)
+    trials: list[tuple[str, Any]] = [
+        ("uniform, fixed", discretise.uniform(k, n_theta, 14, fixed_ratio, 15)),
+        ("uniform, radius adapted", discretise.uniform(k, n_theta, 14, 0.5 * ratio, 15)),
+        ("graded, fixed", choose_scheme(1e-10)),
+        ("graded, automatic", None),
+    ]
+    for name, scheme in trials:
+        row: dict[str, Any] = {"table": "aspect_ratios", "aspect_ratio": k, "scheme": name}
+        if scheme is None:
+            model, spent, estimate = _automatic(k, 1e-10)[1:]
+            row |= {"error": discretise.true_error(model), "estimate": estimate, "time": spent}
+        elif name != "uniform, fixed" or fixed_ratio <= ratio:
+            _, model, spent = discretise.formed(k, scheme)
+            row |= {"error": discretise.true_error(model), "time": spent}
+        rows.append(row)
+    return rows
+
+
+def _automatic(k: float, tolerance: float) -> tuple[Any, Any, float, float]:
+    """Scheme, model, wall time and estimate of the automatic choice."""
+    import time
+
+    begin = time.perf_counter()
+    body: AccurateBody = accurate_body(Spheroid(k), tolerance, strict=False)
+    spent = time.perf_counter() - begin
+    return body.scheme, body.model, spent, body.model.error_estimate
+
+
+def _recommended(k: float, tolerance: float) -> list[dict[str, Any]]:
+    scheme, model, spent, estimate = _automatic(k, tolerance)
+    _, _, alone = discretise.formed(k, scheme)
+    row: dict[str, Any] = {
+        "table": "recommended",
+        "aspect_ratio": k,
+        "tolerance": tolerance,
+        "n_theta": scheme.n_theta,
+        "expansion_order": scheme.expansion_order,
+        "radius_factor": scheme.radius_factor,
+        "panel_order": scheme.panel_order,
+        "error": discretise.true_error(model),
+        "estimate": estimate,
+        "time": alone,
+        "time_with_estimate": spent,
+    }
+    return [row | _uniform(k, tolerance)]
+
+
+def _uniform(k: float, tolerance: float) -> dict[str, Any]:
+    """The cheapest of a family of uniform schemes that meets the tolerance, if any does."""
+    trials = []
+    for n_theta in (8, 16):
+        for upsampling in (4, 8, 16):
+            for order in (6, 12, 20):
+                for part in (0.4, 1.0):
+                    ratio = part * discretise.largest_ratio(k, n_theta) * (1.0 - 1e-12)
+                    scheme = discretise.uniform(k, n_theta, order, ratio, upsampling)
+                    sources = upsampling**2 * n_theta * scheme.n_phi / 2
+                    trials.append((sources * n_theta * order, part, scheme))
+    trials.sort(key=lambda trial: trial[0])
+    for cost, part, scheme in trials:
+        if cost > _DEAREST:
+            break
+        _, model, spent = discretise.formed(k, scheme)
+        error = discretise.true_error(model)
+        if error <= tolerance:
+            return {
+                "uniform_n_theta": scheme.n_theta,
+                "uniform_order": scheme.expansion_order,
+                "uniform_radius": part,
+                "uniform_upsampling": scheme.upsampling,
+                "uniform_error": error,
+                "uniform_time": spent,
+            }
+    return {}
+
+
+def tables(rows: list[dict[str, Any]]) -> list[Table]:
+    """Errors over the aspect ratio, and recommended parameters."""
+    k = Column("aspect_ratio", "", "equatorial over polar radius", "g", "k")
+    errors = Table(
+        "aspect_ratios",
+        "Errors over aspect ratios at fixed and at automatic parameters",
+        (
+            k,
+            Column("scheme", "", "quadrature and choice of its parameters"),
+            Column("error", "", "of resistance and free motion", ".1e"),
+            Column("estimate", "", "what the program says of it", ".1e"),
+            Column("time", "s", "wall time, automatic: with the estimate", ".2g"),
+        ),
+        notes=[
+            "Uniform: n_theta = 20, p = 14, kappa = 15, r/h half of the largest for k = 1/2, or "
+            "for the body; no error where the expansion balls would cross the surface."
+        ],
+        plot={"x": "aspect_ratio", "y": "error", "by": "scheme", "scale": "loglog"},
+    )
+    parameters = Table(
+        "recommended",
+        "Parameters for an aspect ratio and a tolerance, with the time of the set-up",
+        (
+            k,
+            Column("tolerance", "", "asked for", ".0e"),
+            Column("n_theta", "", "polar nodes (graded)", "d"),
+            Column("expansion_order", "", "order (graded)", "d", "p"),
+            Column("radius_factor", "", "radius over the admissible one (graded)", "g"),
+            Column("panel_order", "", "nodes per panel side (graded)", "d"),
+            Column("error", "", "true error (graded)", ".0e"),
+            Column("estimate", "", "estimated error (graded)", ".0e"),
+            Column("time", "s", "set-up (graded)", ".2g"),
+            Column("time_with_estimate", "s", "set-up and estimate (graded)", ".2g"),
+            Column("uniform_n_theta", "", "polar nodes (uniform)", "d"),
+            Column("uniform_order", "", "order (uniform)", "d", "uniform p"),
+            Column("uniform_radius", "", "r/h over its largest (uniform)", "g"),
+            Column("uniform_upsampling", "", "kappa (uniform)", "d"),
+            Column("uniform_error", "", "true error (uniform)", ".0e"),
+            Column("uniform_time", "s", "set-up (uniform)", ".2g"),
+        ),
+        notes=["No numbers for the uniform scheme: none of those tried met the tolerance."],
+        plot={"x": "aspect_ratio", "y": "time", "by": "tolerance", "scale": "loglog"},
+    )
+    return fill([errors, parameters], rows)
+
+
+def figures(made: dict[str, Table]) -> dict[str, Any]:
+    """Error over the aspect ratio, and set-up time for a tolerance by both schemes."""
+    from qbxstokes.plots import style
+
+    errors, best = made["aspect_ratios"], made["recommended"]
+    figure = style.new_figure(style.PAGE, 2.9)
+    panels = figure.subplots(1, 2)
+    for index, scheme in enumerate(dict.fromkeys(errors["scheme"].tolist())):
+        chosen = errors["scheme"] == scheme
+        panels[0].plot(errors["aspect_ratio"][chosen], errors["error"][chosen], label=scheme,
+                       **style.line_style(index, markers=True))  # fmt: skip
+    for index, tolerance in enumerate(sorted(set(best["tolerance"].tolist()), reverse=True)):
+        chosen = best["tolerance"] == tolerance
+        color, _, marker = style.LINES[index]
+        panels[1].plot(best["aspect_ratio"][chosen], best["time"][chosen], marker=marker,
+                       color=color, label=f"graded {tolerance:.0e}")  # fmt: skip
+        panels[1].plot(best["aspect_ratio"][chosen], best["uniform_time"][chosen],
+                       marker=marker, color=color, markerfacecolor="white",
+                       linestyle=(0, (3, 1.5)), label=f"uniform {tolerance:.0e}")  # fmt: skip
+    for panel, text in zip(panels, ("relative error", "set-up time (s)"), strict=True):
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel("aspect ratio $k$")
+        panel.set_ylabel(text)
+        panel.legend(fontsize=7)
+    panels[0].set_ylim(1e-15, 1e2)
+    style.letter_panels(list(panels))
+    return {"qbx_aspect_ratios": figure}
