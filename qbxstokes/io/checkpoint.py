@@ -160,6 +160,7 @@ def _lock(stream: BinaryIO, folder: Path) -> None:
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
+        stream.close()
         raise CaseError(f"{folder}: another process is at work on this run") from None
     except OSError:
         return  # a file system without locks

@@ -1,0 +1,137 @@
+"""Runs that are stopped at any instant, and go on."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ENVIRONMENT, Run
+
+from qbxstokes import load
+from qbxstokes.errors import CaseError
+from qbxstokes.io.checkpoint import Journal, unfinished
+
+WriteCase = Callable[..., Path]
+CASE: dict[str, Any] = {
+    "body": {"aspect_ratio": 0.5, "stokes_number": 2},
+    "flow": {"type": "shear"},
+    "start": {"orientation": {"axis": [1, 1, 1]}},
+    "time": {"periods": 8, "samples": 161, "tolerance": 1e-10},
+    "checkpoint": {"every": "100 steps"},
+    "compare": {"reference": "none"},
+    "petsc": {"ts_type": "rk"},
+}
+
+
+def test_journal_keeps_what_its_checkpoint_covers(tmp_path: Path) -> None:
+    target = tmp_path / "a.h5"
+    journal = Journal(target)
+    journal.append("rows", np.arange(6.0).reshape(2, 3))
+    assert not journal.folder.exists()  # nothing is on disk until it must be
+    journal.save({"step": 1})
+    journal.append("rows", np.ones((1, 3)))
+    journal._flush()  # as a killed process leaves it: rows beyond the checkpoint
+    with pytest.raises(CaseError, match="another process"):
+        Journal.reopened(target)
+    journal.close()
+    assert unfinished([target]) == target
+    again, checkpoint = Journal.reopened(target)
+    assert checkpoint["step"] == 1
+    again.append("rows", np.zeros((1, 3)))
+    joined = np.concatenate([rows for _, rows in again.blocks()])
+    np.testing.assert_array_equal(joined, [[0, 1, 2], [3, 4, 5], [0, 0, 0]])
+    again.close(remove=True)
+    assert not again.folder.exists()
+
+
+def same(one: Path, other: Path) -> None:
+    a, b = load(one), load(other)
+    for name in b.names:
+        np.testing.assert_array_equal(a[name], b[name])
+    for name, values in b.groups["events"]["half_turns"].items():
+        np.testing.assert_array_equal(a.groups["events"]["half_turns"][name], values)
+    for name in ("integration", "events"):
+        np.testing.assert_equal(a.summary[name], b.summary[name])
+
+
+def start(folder: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "qbxstokes", "case.yaml", "--resume", "--quiet"]
+    return subprocess.Popen(
+        [*command, "--set", "output.file=killed.h5"],
+        cwd=folder,
+        env=os.environ | ENVIRONMENT,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def stop_at_random(folder: Path, number: int, rng: random.Random) -> str:
+    """Start or go on, and send a signal some time after a new checkpoint; '' if it was done."""
+    mark = folder / "killed.h5.parts" / "checkpoint.json"
+    before = mark.stat().st_mtime_ns if mark.exists() else 0
+    process = start(folder)
+    while process.poll() is None:
+        if mark.exists() and mark.stat().st_mtime_ns != before:
+            break
+        time.sleep(1e-3)
+    time.sleep(rng.uniform(0.0, 0.1))
+    process.send_signal(number)
+    _, error = process.communicate()
+    return error or ("killed" if process.returncode == -number else "")
+
+
+def run_to_the_end(folder: Path, signals: list[int]) -> None:
+    rng = random.Random(1)
+    for number in signals:
+        stop_at_random(folder, number, rng)
+    process = start(folder)
+    _, error = process.communicate()
+    assert process.returncode == 0, error
+
+
+def test_three_stops_lose_nothing(run_cli: Run, write_case: WriteCase, tmp_path: Path) -> None:
+    write_case(CASE)
+    done = run_cli("case.yaml", "--quiet", "--set", "output.file=whole.h5")
+    assert done.returncode == 0, done.stderr
+    run_to_the_end(tmp_path, [signal.SIGKILL, signal.SIGTERM, signal.SIGKILL])
+    same(tmp_path / "killed.h5", tmp_path / "whole.h5")
+    assert sorted(os.listdir(tmp_path)) == ["case.yaml", "killed.h5", "whole.h5"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("asked_for")
+def test_twenty_kills_lose_nothing(run_cli: Run, write_case: WriteCase, tmp_path: Path) -> None:
+    write_case(CASE | {"time": CASE["time"] | {"periods": 40}})
+    done = run_cli("case.yaml", "--quiet", "--set", "output.file=whole.h5", timeout=600)
+    assert done.returncode == 0, done.stderr
+    run_to_the_end(tmp_path, [signal.SIGKILL] * 20)
+    same(tmp_path / "killed.h5", tmp_path / "whole.h5")
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    run_cli: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    write_case(CASE | {"time": CASE["time"] | {"periods": 200}})
+    told = stop_at_random(tmp_path, signal.SIGINT, random.Random(2))
+    assert "SIGINT: stopped at t = " in told
+    assert "--resume" in told
+    assert len(told.splitlines()) == 1
+    part = load(tmp_path / "killed.h5")
+    assert not part.summary["complete"]
+    assert len(part.time) == part.summary["samples"] > 0
+    output = ("--set", "output.file=killed.h5")
+    again = run_cli("case.yaml", *output)
+    assert again.returncode == 2
+    assert "an unfinished run is kept" in again.stderr
+    other = run_cli("case.yaml", *output, "--resume", "--set", "body.stokes_number=3")
+    assert other.returncode == 2
+    assert "another body.stokes_number" in other.stderr
