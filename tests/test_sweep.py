@@ -39,6 +39,8 @@ SHEAR = np.zeros((3, 3))
 SHEAR[0, 1] = 1.0
 RANDOM = {"start.orientation": {"random": "rotations", "count": 6, "seed": 3}}
 
+ROOT = Path(qbxstokes.__file__).parents[1]
+
 Sweep = Callable[..., Any]
 
 
@@ -309,6 +311,19 @@ def test_windows_and_turns_of_averages() -> None:
     assert np.isinf(averages["orbit_constant_end"][2])
 
 
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_turn_that_ends_with_the_last_sample_counts(turns: int) -> None:
+    times = np.linspace(0.0, turns * jeffery.period(0.5), 81)
+    starts = np.random.default_rng(0).standard_normal((20, 3))
+    starts /= np.linalg.norm(starts, axis=1, keepdims=True)
+    axis = np.stack([jeffery.axis_at(times, 0.5, start) for start in starts], axis=1)
+    strain = 0.5 * (SHEAR + SHEAR.T)
+    spin = np.array([0, 0, -0.5]) + 0.6 * np.cross(axis, axis @ strain)
+    samples = {"axis": axis, "angular_velocity": spin, "position": axis, "velocity": axis}
+    averages = turn_averages(times, samples, 0.5, ShearFrame.of(SHEAR))
+    np.testing.assert_allclose(averages["period"], jeffery.period(0.5), rtol=1e-8)
+
+
 # -- files -----------------------------------------------------------------------------------------
 
 
@@ -564,3 +579,18 @@ def test_memory_does_not_grow_with_the_sweep(write: Callable[..., Path], tmp_pat
         assert done.returncode == 0, done.stderr
         peaks.append(int(done.stdout.split()[-1]))
     assert peaks[1] - peaks[0] < 20_000  # kB
+
+
+@pytest.mark.parametrize(
+    "case", sorted((ROOT / "cases").glob("sweep_*.yaml")), ids=lambda p: p.stem
+)
+def test_cases_give_what_they_promise(case: Path, tmp_path: Path) -> None:
+    """Their massless trajectories have Jeffery's period and keep their orbit."""
+    target = tmp_path / "case.h5"
+    few = ["--set", "time.samples=41", "--set", "time.tolerance=1e-6"]
+    assert run_command([str(case), "--quiet", *few, "--set", f"output.file={target}"]) == 0
+    table = qbxstokes.load(target).table
+    massless = table["stokes_number"] == 0 if "stokes_number" in table.dtype.names else ...
+    period = table["period"][massless] / table["jeffery_period"][massless]
+    assert np.nanmax(np.abs(period - 1.0)) < 1e-5
+    assert np.nanmax(np.abs(table["orbit_drift"][massless])) < 1e-4

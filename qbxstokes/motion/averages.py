@@ -95,7 +95,9 @@ def turn_averages(
         """Interval and fraction of it at which `count` half-turns are complete."""
         goal = angle[0] + np.sign(turned) * np.pi * count
         beyond = np.abs(angle - angle[0]) >= np.abs(goal - angle[0]) * (1.0 - 1e-14)
-        after = np.clip(np.argmax(beyond, axis=0), 1, max(len(t) - 1, 1))
+        # A turn that ends with the last sample may fall short of it by rounding.
+        after = np.where(beyond.any(axis=0), np.argmax(beyond, axis=0), len(t) - 1)
+        after = np.clip(after, 1, max(len(t) - 1, 1))
         low, high = np.zeros(n), np.ones(n)
         for _ in range(_ITERATIONS):
             middle = 0.5 * (low + high)

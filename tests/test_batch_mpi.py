@@ -1,0 +1,182 @@
+"""Sweeps on several ranks: the same bits on any number, kills, failures of one rank."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from qbxstokes.app.cli import run_command
+from qbxstokes.io.sweep import parts_of, read_journals
+
+CASE: dict[str, Any] = {
+    "body": {"aspect_ratio": 0.5},
+    "flow": {"type": "shear"},
+    "time": {"end": 5.0, "samples": 11, "tolerance": 1e-6},
+    "hydrodynamics": {"tolerance": 1e-6},
+    "sweep": {
+        "block": 2,
+        "axes": [
+            {"body.stokes_number": [0, 5]},
+            {"start.orientation": {"random": "rotations", "count": 8, "seed": 3}},
+        ],
+    },
+}
+
+pytestmark = pytest.mark.mpi
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Every dataset as bytes, without the wall times and the totals of the run."""
+    found = {}
+    with h5py.File(path) as file:
+        for name, item in file.items():
+            if isinstance(item, h5py.Group):
+                continue
+            data = item[()]
+            for column in data.dtype.names or ():
+                if column != "wall_time":
+                    found[f"{name}.{column}"] = data[column].tobytes()
+            if data.dtype.names is None:
+                found[name] = data.tobytes()
+    return found
+
+
+@pytest.fixture
+def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    """The undisturbed sweep on one rank."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "case.yaml").write_text(json.dumps(CASE))
+    assert run_command(["case.yaml", "--quiet", "--set", "output.file=whole.h5"]) == 0
+    return contents(tmp_path / "whole.h5")
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_any_number_of_ranks_gives_the_same_bits(
+    whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path, ranks: int
+) -> None:
+    done = mpirun(ranks, "case.yaml", "--progress", "line")
+    assert done.returncode == 0, done.stderr
+    assert "16 of 16 trajectories (100.0%)" in done.stderr
+    assert done.stdout.count("Result") == 1
+    assert contents(tmp_path / "case.h5") == whole
+
+
+# Pauses before each block, so that a signal meets the sweep at work; RANK may fail at its second.
+SLOW = """
+import os, sys, time
+from qbxstokes.app import block
+compute, count = block.compute_block, [0]
+def slow(*arguments):
+    count[0] += 1
+    if count[0] == 2 and os.environ.get("OMPI_COMM_WORLD_RANK") == os.environ.get("FAILING"):
+        raise ZeroDivisionError("the reactor of rank one")
+    time.sleep(0.15)
+    return compute(*arguments)
+block.compute_block = slow
+from qbxstokes.app.cli import run_command
+sys.exit(run_command(sys.argv[1:]))
+"""
+
+
+def test_an_exception_on_one_rank_ends_the_job_with_its_message(
+    whole: dict[str, bytes],
+    mpirun: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("FAILING", "1")
+    done = mpirun(2, "case.yaml", "--quiet", script=SLOW, timeout=60)
+    assert done.returncode != 0
+    assert "rank 1: ZeroDivisionError: the reactor of rank one" in done.stderr
+    monkeypatch.delenv("FAILING")
+    done = mpirun(2, "case.yaml", "--quiet", "--resume")
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "case.h5") == whole
+
+
+def children(group: int) -> Iterator[int]:
+    """Processes of a session that run Python."""
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            if os.getsid(int(entry.name)) == group:
+                command = (entry / "cmdline").read_bytes().split(b"\0")[0]
+                if b"python" in command:
+                    yield int(entry.name)
+        except (OSError, ProcessLookupError):
+            continue
+
+
+def kill_and_resume(tmp_path: Path, kills: int, seed: int) -> None:
+    """Kill a rank, or the whole job, at random instants; then let it end."""
+    launcher = shutil.which("mpirun") or shutil.which("mpiexec")
+    assert launcher is not None
+    from conftest import ENVIRONMENT
+
+    rng = random.Random(seed)
+    command = [launcher, "-n", "2", sys.executable, "-c", SLOW, "case.yaml", "--resume", "--quiet"]
+    kept = 0
+    for number in range(kills):
+        job = subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env=os.environ | ENVIRONMENT,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        deadline = time.monotonic() + rng.uniform(0.5, 8.0)
+        while time.monotonic() < deadline and job.poll() is None:
+            folder = parts_of(tmp_path / "case.h5")
+            if folder.is_dir() and len(read_journals(folder).blocks) > kept:
+                time.sleep(rng.uniform(0.0, 0.3))
+                break
+            time.sleep(0.02)
+        if job.poll() is None:
+            ranks = list(children(job.pid))
+            if number % 2 and ranks:
+                os.kill(rng.choice(ranks), signal.SIGKILL)
+            else:
+                os.killpg(job.pid, signal.SIGKILL)
+        job.wait(timeout=30)
+        for rank in children(job.pid):
+            os.kill(rank, signal.SIGKILL)
+        if (tmp_path / "case.h5").exists():
+            return
+        folder = parts_of(tmp_path / "case.h5")
+        found = len(read_journals(folder).blocks) if folder.is_dir() else 0
+        assert found >= kept  # what was finished stays finished
+        kept = found
+
+
+def test_killed_sweeps_lose_only_blocks_in_flight(
+    whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path
+) -> None:
+    kill_and_resume(tmp_path, 2, seed=1)
+    done = mpirun(2, "case.yaml", "--quiet", "--resume")
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "case.h5") == whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_twenty_random_kills(
+    whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path, seed: int
+) -> None:
+    kill_and_resume(tmp_path, 5, seed)
+    done = mpirun(2, "case.yaml", "--quiet", "--resume")
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "case.h5") == whole
