@@ -37,7 +37,7 @@ def shape(k: float) -> float:
 
 
 def relaxation_rates(k: float) -> tuple[float, float, float, float]:
-    """R/inertia: translation transverse and axial, rotation transverse and axial; over St, rates."""
+    """R/inertia: translation transverse, axial, rotation transverse, axial; over St, rates."""
     transverse, axial = lamb.translation_resistance(k)
     turning, spinning = jeffery.rotation_resistance(k)
     moments = inertia(k)
