@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 # More than this between two samples, and the turns cannot be counted.
 _LARGEST_TURN = 0.75 * np.pi
+# An orbit constant above this is that of a tumbling body, up to rounding: it has no drift.
+_TUMBLING = 1e8
 _ITERATIONS = 60  # of bisection: to the last bit of the fraction of a step
 
 
@@ -66,7 +68,7 @@ def turn_averages(
     half_turns (counted), period (of two half-turns), period_change (second half of the half-turns
     minus the first, relative), rotation_rate (mean rate of the axis about e_n, with its sign),
     mean_velocity (3), velocity_change (the same for the two halves, 3), orbit_constant_start and
-    _end (first and last sample), orbit_drift (rate of ln C). NaN where there is no whole half-turn;
+    _end (first and last sample), orbit_drift (rate of ln C, none when tumbling). NaN where there is no whole half-turn;
     the mean velocity is then that of the whole window.
     """
     first = int(np.searchsorted(times, times[0] + discard * (times[-1] - times[0])))
@@ -130,6 +132,7 @@ def turn_averages(
             late_speed = (place - place2) / (span - half)[:, None]
             constants = [orbit_constant(d, aspect_ratio, frame.axes) for d in (axis[0], ending)]
             drift = np.log(constants[1] / constants[0]) / span
+            drift = np.where(np.maximum(*constants) < _TUMBLING, drift, np.nan)
     else:
         period = change = drift = span = nothing
         speed = early_speed = late_speed = np.full((n, 3), np.nan)
