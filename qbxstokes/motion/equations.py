@@ -179,9 +179,7 @@ class RigidBodyEquations:
         self._steady_loads = loads is None or not any(callable(v) for v in _load_fields(loads))
         if loads is not None:
             self._fill_loads(0.0)
-        # dy/dt as a tuple, (t, rows) -> n_state rows, from the numbers of a single body or from
-        # rows (n_bodies,), plain or complex.
-        self.rate_of_rows: Callable[[float, Any], Any] = self._whole_kernel() or self._pieces
+        self._kernel = self._whole_kernel()
 
     def repeated(self, count: int) -> RigidBodyEquations:
         """The equations of `count` times the same bodies: many instants as many bodies.
@@ -299,6 +297,15 @@ class RigidBodyEquations:
         """Write dy/dt, (n_state, n_bodies), by the plain kernels."""
         for row, value in zip(out, self.rate_of_rows(t, self._rows(y)), strict=True):
             row[:] = value
+
+    @property
+    def rate_of_rows(self) -> Callable[[float, Any], Any]:
+        """dy/dt as a tuple, (t, rows) -> n_state rows, plain or complex.
+
+        rows: the numbers of a single body, or rows (n_bodies,). Looked up once for many calls; kept
+        in no attribute, where a bound method would hold the provider's solvers in a cycle.
+        """
+        return self._pieces if self._kernel is None else self._kernel
 
     def jacobian(self, t: float, y: Array, out: Array) -> None:
         """Write the Jacobian, (n_bodies, n_state, n_state), by the plain kernels.
