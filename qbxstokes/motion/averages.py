@@ -68,8 +68,8 @@ def turn_averages(
     half_turns (counted), period (of two half-turns), period_change (second half of the half-turns
     minus the first, relative), rotation_rate (mean rate of the axis about e_n, with its sign),
     mean_velocity (3), velocity_change (the same for the two halves, 3), orbit_constant_start and
-    _end (first and last sample), orbit_drift (rate of ln C, none when tumbling). NaN where there is no whole half-turn;
-    the mean velocity is then that of the whole window.
+    _end (first and last sample), orbit_drift (rate of ln C; NaN when tumbling). NaN where there is
+    no whole half-turn; the mean velocity is then that of the whole window.
     """
     first = int(np.searchsorted(times, times[0] + discard * (times[-1] - times[0])))
     first = min(first, len(times) - 1)

@@ -211,7 +211,10 @@ def integrate(
     run = _Run(equations, checkpoint, instants, tolerance, method, prefix, longest_step)
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
-    finished = run.go(on_chunk or kept.append, limits, interrupted, observe)
+    try:
+        finished = run.go(on_chunk or kept.append, limits, interrupted, observe)
+    finally:
+        run.release()
     shape = (0, equations.n_bodies, equations.n_state)
     return Trajectory(
         times=np.concatenate([np.empty(0), *(chunk.times for chunk in kept)]),
@@ -245,6 +248,8 @@ class _Run:
         self._wanted = checkpoint.method or method or self._guide.method
         database = PETSc.Options()
         self._monitored = any(name.startswith(f"{prefix}ts_monitor") for name in database.getAll())
+        self._ts: Any = None
+        self._sampler: Any = None
         self._build()
 
     # -- PETSc ------------------------------------------------------------------------------
@@ -253,14 +258,21 @@ class _Run:
         """Fresh integrators at the checkpoint: a resumed run passes through the same code."""
         start = self.checkpoint
         self._scales = self.equations.scales(start.time, start.state)
+        self.release()
         self._vector = PETSc.Vec().createSeq(start.state.size)
         self._inner = self._vector.duplicate()
-        self._sampler: Any = None
         self._ts = self._integrator(self._vector, adaptive=True)
         self._write(self._vector, start.state)
         self._ts.setTime(start.time)
         self._ts.setStepNumber(start.steps)
         self._ts.setTimeStep(start.step or self._first_step())
+
+    def release(self) -> None:
+        """Free the integrators: they hold callbacks that hold this object, unseen by Python."""
+        for integrator in (self._ts, self._sampler):
+            if integrator is not None:
+                integrator.destroy()
+        self._ts = self._sampler = None
 
     def _integrator(self, vector: Any, adaptive: bool) -> Any:
         """A TS of the wanted type with its callbacks, as defaults below the options."""
