@@ -15,7 +15,9 @@ from conftest import ROOT, Run
 import qbxstokes
 from qbxstokes.app.cli import split_arguments
 from qbxstokes.app.plan import make_plan, rotation_period
+from qbxstokes.app.summary import _seen
 from qbxstokes.app.tasks import plan_of
+from qbxstokes.config.describe import starter
 from qbxstokes.config.load import load_case
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
@@ -89,6 +91,24 @@ def test_starter_case_checks(run_cli: Run) -> None:
     assert run_cli("new", "mine.yaml").returncode == 0
     assert run_cli("new", "mine.yaml").returncode == 2  # never over an existing file
     assert run_cli("check", "mine.yaml").stdout == "mine.yaml: valid, task motion\n"
+
+
+@pytest.mark.parametrize("task", ["field", "benchmark", "stress", "study"])
+def test_every_task_has_a_starter(task: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(starter(task))
+    assert load_case(path).case.task == task
+
+
+def test_tumbling_has_no_finite_orbit_constant() -> None:
+    ends = ("orbit_constant_first", "orbit_constant_last")
+    found = {"counts": {}, "period": 1.0, "turns": 2, "drift_per_period": [0.0, 0.0, 0.0]}
+    rows = {
+        text: dict(_seen({"events": found | dict.fromkeys(ends, value)}))["orbit constant"]
+        for text, value in (("tumbling", 6e15), ("finite", 3.0))
+    }
+    assert rows["tumbling"].startswith("infinite")
+    assert rows["finite"] == "3 to 3"
 
 
 def test_schema_is_json_and_table_is_markdown(run_cli: Run) -> None:

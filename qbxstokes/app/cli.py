@@ -133,7 +133,7 @@ def run_command(arguments: Sequence[str]) -> int:
         if len(options.words) > 1:
             raise CaseError(
                 f"command line: {options.words[1]}: one case at a time; "
-                f"or did you mean a command? ({', '.join(_COMMANDS)})"
+                f"or did you mean a command? ({', '.join((*_COMMANDS, 'plot', 'animate'))})"
             )
     except QbxStokesError as error:
         return _fail(error)

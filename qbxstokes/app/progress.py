@@ -76,7 +76,7 @@ class Progress:
         if rate > 0:
             parts.append(f"{rate:.4g}/s")
         if finished < self._total:
-            parts.append(f"{duration(left)} left" if rate > 0 else "starting")
+            parts.append(f"{duration(left)} left" if rate > 0 else "none finished yet")
         else:
             parts.append(f"in {duration(spent)}")
         if failed:

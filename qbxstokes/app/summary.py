@@ -13,6 +13,7 @@ from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
+_TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
 
 
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
@@ -173,7 +174,9 @@ def _seen(summary: dict[str, Any]) -> Rows:
         if any(abs(part) > _NO_DRIFT for part in drift):
             yield "drift per period", "(" + ", ".join(quantity(part) for part in drift) + ")"
         first, last = found["orbit_constant_first"], found["orbit_constant_last"]
-        if isfinite(first) and isfinite(last):
+        if min(first, last) > _TUMBLING:
+            yield "orbit constant", "infinite: the body tumbles in the plane of shear"
+        elif isfinite(first) and isfinite(last):
             yield "orbit constant", f"{first:.9g} to {last:.9g}"
     if "orbit_constant_drift" in summary:
         norm = error_text(summary["integration"]["quaternion_norm_drift"])

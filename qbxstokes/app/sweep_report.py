@@ -46,7 +46,7 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
                     ("samples", f"{scenes.samples} each; stored: {stored}"),
                 ],
                 "Needs": [
-                    ("memory", f"about {size(estimate.memory)} on each of {ranks} ranks"),
+                    ("memory", f"about {size(estimate.memory)} on each rank"),
                     ("disk", f"{size(layout.bytes)} for {target}"),
                     (
                         "time",

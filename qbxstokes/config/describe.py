@@ -105,6 +105,7 @@ _STARTERS: dict[str, dict[str, Any]] = {
             "pictures": True,
         },
     },
+    **{name: {"task": name, name: {"size": "small"}} for name in ("benchmark", "stress", "study")},
 }
 
 
