@@ -7,4 +7,11 @@ MAKERS: dict[str, str] = {
     "accuracy": "qbxstokes.app.benchmark.accuracy",
     "iterations": "qbxstokes.app.benchmark.iterations",
     "setup": "qbxstokes.app.benchmark.setup",
+    "step": "qbxstokes.app.benchmark.step",
+    "integrators": "qbxstokes.app.benchmark.integrators",
+    "command": "qbxstokes.app.benchmark.command",
+    "batch": "qbxstokes.app.benchmark.batch",
+    "ranks": "qbxstokes.app.benchmark.ranks",
+    "field": "qbxstokes.app.benchmark.field",
+    "scaling": "qbxstokes.app.benchmark.scaling",
 }

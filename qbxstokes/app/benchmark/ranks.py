@@ -1,0 +1,74 @@
+"""One rank and two: a sweep, the same file, the same numbers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from qbxstokes.app.benchmark.command import run
+from qbxstokes.io.tables import Column, Table
+
+if TYPE_CHECKING:
+    from qbxstokes.app.tabulate import Work
+
+CASE = """\
+body: {{aspect_ratio: 0.5}}
+flow: {{type: shear}}
+time: {{periods: 2, samples: 5, tolerance: 1e-9}}
+sweep:
+  axes:
+    - start.orientation: {{random: axis, count: {count}, seed: 1}}
+"""
+
+
+def tables(work: Work) -> Iterator[Table]:
+    """Wall time of the whole command on one and two ranks, and the part that is shared."""
+    count = work.choose(64, 40_000)
+    table = Table(
+        "ranks",
+        f"A sweep of {count} trajectories on one and two ranks",
+        (
+            Column("ranks", "", "", "d"),
+            Column("time", "s", "wall time of the command", ".2f"),
+            Column("start", "s", "the same for a sweep of two trajectories", ".2f"),
+            Column("speedup", "", "of what lies between them", ".2f"),
+            Column("efficiency", "", "speed-up over ranks", ".2f"),
+        ),
+        notes=[f"{os.cpu_count()} cores; start-up and set-up are subtracted for the speed-up."],
+    )
+    launcher = shutil.which("mpirun") or shutil.which("mpiexec")
+    if work.ranks > 1 or launcher is None:
+        table.notes.append("Not measured: within a parallel run, or without mpirun.")
+        yield table
+        return
+    base = 0.0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for size, stem in ((2, "few"), (count, "many")):
+            (folder / f"{stem}.yaml").write_text(CASE.format(count=size))
+        for ranks in (1, 2):
+            spans = {}
+            for stem in ("few", "many"):
+                words = [launcher, "-n", str(ranks), sys.executable, "-m", "qbxstokes"]
+                words += [f"{stem}.yaml", "--overwrite", "--quiet", "--progress", "none"]
+                times = []
+                for turn in range(work.choose(1, 3) + 1):
+                    work.say(f"{ranks} ranks, {stem}, turn {turn}")
+                    times.append(run(words, folder))
+                # The first turn fills the cache.
+                spans[stem] = sorted(times[1:])[(len(times) - 1) // 2]
+            shared = max(spans["many"] - spans["few"], 1e-9)
+            base = base or shared
+            table.add(
+                ranks=ranks,
+                time=spans["many"],
+                start=spans["few"],
+                speedup=base / shared,
+                efficiency=base / shared / ranks,
+            )
+    yield table
