@@ -36,8 +36,8 @@ class Resolved(GradedScheme):
             scheme.n_theta,
             scheme.expansion_order,
             1.0,
-            24,
-            0.5,
+            16,
+            0.7,
             scheme.side,
             False,
             expansion_radius=scheme.radius(spheroid, 0.0),
@@ -83,6 +83,12 @@ def uniform(
 def largest_ratio(k: float, n_theta: int) -> float:
     """The largest admissible r/h: k^2 n_theta/(2 pi), or n_theta/(2 pi k) for k > 1."""
     return min(k * k, 1.0 / k) * n_theta / (2.0 * np.pi)
+
+
+def cost(scheme: UniformScheme) -> float:
+    """Work of the uniform scheme: source nodes times targets times order."""
+    sources = scheme.upsampling**2 * scheme.n_theta * scheme.n_phi / 2
+    return sources * scheme.n_theta * (scheme.expansion_order + 1)
 
 
 def formed(

@@ -22,6 +22,7 @@ from qbxstokes.reference import faxen
 Array = NDArray[np.float64]
 
 _N_THETA = 20
+_MAP_NODES = 14
 _PLACE = np.array([[0.3, 2.0, -0.5]])
 
 
@@ -32,14 +33,14 @@ def blocks(full: bool) -> list[dict[str, Any]]:
     for k in (0.5, 2.0):
         for name in ("uniform", "uniform fine", "graded 1e-6", "graded 1e-10"):
             found.append({"k": k, "scheme": name, "orientations": count})
-        nodes = (4, 6, 8, 10, 12, 16, 20, 24) if full else (4, 8)
+        nodes = (4, 6, 8, 10, 14, 20) if full else (4, 8)
         found += [{"k": k, "nodes": n} for n in nodes]
-    orders = (2, 4, 6, 8, 12, 16, 24, 32) if full else (4, 10)
-    parts = np.linspace(0.1, 1.15, 8) if full else np.array([0.5, 1.1])
-    for upsampling in (4, 8, 16) if full else (5,):
-        for part in parts:
-            ratio = round(float(part) * discretise.largest_ratio(0.5, _N_THETA), 4)
-            found.append({"k": 0.5, "r_over_h": ratio, "upsampling": upsampling, "orders": orders})
+    orders = (2, 4, 6, 9, 13, 18, 24) if full else (4, 10)
+    parts = (0.15, 0.3, 0.5, 0.7, 1.0, 1.2) if full else (0.5, 1.2)
+    for part in parts:
+        ratio = round(part * discretise.largest_ratio(0.5, _MAP_NODES), 4)
+        for order in orders:
+            found.append({"k": 0.5, "r_over_h": ratio, "order": order, "upsamplings": (4, 8, 16)})
     return found
 
 
@@ -49,13 +50,13 @@ def compute(
     orientations: int = 0,
     nodes: int = 0,
     r_over_h: float = 0.0,
-    upsampling: int = 0,
-    orders: tuple[int, ...] = (),
+    order: int = 0,
+    upsamplings: tuple[int, ...] = (),
 ) -> list[dict[str, Any]]:
     """Rows of one of the three parts."""
     if orientations:
         return _orientations(k, scheme, orientations)
-    return _nodes(k, nodes) if nodes else _map(k, r_over_h, upsampling, tuple(orders))
+    return _nodes(k, nodes) if nodes else _map(k, r_over_h, order, upsamplings)
 
 
 def _scheme(k: float, name: str) -> Scheme:
@@ -128,7 +129,7 @@ def _relative(values: Array, exact: Array) -> Array:
 def _nodes(k: float, nodes: int) -> list[dict[str, Any]]:
     """Error of the density at its nodes and of the model, with quadrature that does not change."""
     flow = _scene()
-    fixed = 240  # nodes of the upsampled polar grid, the same for every number of nodes
+    fixed = 160  # nodes of the upsampled polar grid, the same for every number of nodes
     radius = 0.5 * min(k * k, 1.0 / k)
     n_phi = 9
     monomials, coefficients = _exact_density(k)
@@ -177,30 +178,31 @@ def _exact_density(k: float) -> tuple[Any, Array]:
     return monomials, fitted
 
 
-def _map(k: float, r_over_h: float, upsampling: int, orders: tuple[int, ...]) -> Any:
-    """Error, its truncation and its quadrature part for every order; none where forbidden."""
-    rows = []
-    allowed = r_over_h <= discretise.largest_ratio(k, _N_THETA)
-    for order in orders:
-        row: dict[str, Any] = {
+def _map(k: float, r_over_h: float, order: int, upsamplings: tuple[int, ...]) -> Any:
+    """Error, its truncation and its quadrature part per upsampling; none where forbidden."""
+    rows: list[dict[str, Any]] = [
+        {
             "table": "qbx_map",
             "aspect_ratio": k,
             "upsampling": upsampling,
             "r_over_h": r_over_h,
             "expansion_order": order,
-            "forbidden": not allowed,
+            "forbidden": r_over_h > discretise.largest_ratio(k, _MAP_NODES),
         }
-        if allowed:
-            scheme = discretise.uniform(k, _N_THETA, order, r_over_h, upsampling)
-            _, model, spent = discretise.formed(k, scheme)
-            _, resolved, _ = discretise.formed(k, discretise.Resolved.of(scheme, Spheroid(k)))
-            row |= {
-                "error": discretise.true_error(model),
-                "truncation": discretise.true_error(resolved),
-                "quadrature": model_distance(model, resolved),
-                "time": spent,
-            }
-        rows.append(row)
+        for upsampling in upsamplings
+    ]
+    if rows[0]["forbidden"]:
+        return rows
+    schemes = [discretise.uniform(k, _MAP_NODES, order, r_over_h, u) for u in upsamplings]
+    _, resolved, _ = discretise.formed(k, discretise.Resolved.of(schemes[0], Spheroid(k)))
+    for row, scheme in zip(rows, schemes, strict=True):
+        _, model, spent = discretise.formed(k, scheme)
+        row |= {
+            "error": discretise.true_error(model),
+            "truncation": discretise.true_error(resolved),
+            "quadrature": model_distance(model, resolved),
+            "time": spent,
+        }
     return rows
 
 
@@ -229,7 +231,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         "Convergence of the density with n_theta at fixed quadrature",
         (
             _K,
-            Column("scheme", "", "uniform: 240 polar source nodes, p = 20; graded: p = 26"),
+            Column("scheme", "", "uniform: 160 polar source nodes, p = 20; graded: p = 26"),
             Column("n_theta", "", "polar nodes of the density", "d"),
             Column("density_error", "", "largest at the nodes, relative", ".2e"),
             Column("motion_error", "", "of resistance and free motion", ".2e"),
@@ -245,7 +247,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
     )  # fmt: skip
     parameters = Table(
         "qbx_map",
-        f"Uniform scheme, k = 1/2, n_theta = {_N_THETA}: error by order, radius, upsampling",
+        f"Uniform scheme, k = 1/2, n_theta = {_MAP_NODES}: error by order, radius, upsampling",
         (
             _K,
             Column("upsampling", "", "kappa", "d"),

@@ -1,0 +1,215 @@
+"""Studies: theory of heavy bodies, inertia switched off, averages, blocks on ranks, resuming."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qbxstokes.app.study import MAKERS, simulate
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.flows import build_flow
+from qbxstokes.geometry import rotation
+from qbxstokes.io.tables import Table
+from qbxstokes.motion.equations import Inertia, RigidBodyEquations
+from qbxstokes.reference import faxen, heavy
+
+Array = Any
+
+
+def exact_model(k: float) -> BodyModel:
+    linear, quadratic, cubic = faxen.body_coefficients(k)
+    coefficients = FaxenCoefficients(linear, quadratic, cubic)
+    return BodyModel(k, Resistance(*faxen.resistance(k)), coefficients, None, 0.0)
+
+
+def paraboloid() -> Any:
+    return build_flow({"type": "paraboloid", "curvature": 0.25}).polynomial
+
+
+@pytest.fixture(autouse=True)
+def _closed_forms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies in these tests spare the integral equation."""
+    monkeypatch.setattr(simulate, "body", exact_model)
+
+
+# -- theory ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", [0.2, 0.5, 2.0, 5.0])
+def test_mean_rate_has_both_limits(k: float) -> None:
+    free = k / (1.0 + k * k)
+    scale = heavy.relaxation_rates(k)[2]
+    light = [heavy.mean_rotation_rate(k, lag * scale) / free - 1.0 for lag in (0.005, 0.01)]
+    assert light[1] / light[0] == pytest.approx(4.0, rel=0.02)  # no correction of first order
+    heavy_lag = 200.0
+    short = 0.5 - heavy.mean_rotation_rate(k, heavy_lag * scale)
+    assert short * heavy_lag**2 == pytest.approx(0.25 * heavy.shape(k) ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("k", [0.2, 0.5, 2.0, 5.0])
+def test_small_stokes_numbers_drift_by_the_averaged_rate(k: float) -> None:
+    stokes = 1e-3 * heavy.relaxation_rates(k)[2]
+    rolling = heavy.rolling_drift_coefficient(k)
+    assert heavy.orbit_drift_coefficient(k, 1e-3) == pytest.approx(rolling, rel=1e-4)
+    assert heavy.rolling_exponent(k, stokes) / stokes == pytest.approx(rolling, rel=1e-3)
+    tumbling = heavy.orbit_drift_coefficient(k, np.inf)
+    assert heavy.orbit_drift_coefficient(k, 1e4) == pytest.approx(tumbling, rel=1e-4)
+    assert -heavy.tumbling_exponent(k, stokes) / stokes == pytest.approx(tumbling, rel=1e-3)
+    assert np.sign(rolling) == np.sign(tumbling) == np.sign(1.0 - k)
+
+
+@pytest.mark.parametrize("k", [0.2, 0.5, 2.0, 5.0])
+def test_lateral_drift_goes_to_higher_shear_and_dies_out(k: float) -> None:
+    small = heavy.small_stokes_drift(k)
+    assert small > 0.0
+    assert heavy.small_stokes_drift_on_orbit(k, np.inf) == pytest.approx(small, rel=1e-10)
+    stokes = 1e-3 * heavy.relaxation_rates(k)[1]
+    for parts in ("both", "translation"):
+        assert heavy.drift(k, stokes, parts) / stokes == pytest.approx(small, rel=1e-4)  # type: ignore[arg-type]
+    far = 1e4 * heavy.relaxation_rates(k)[0]
+    assert heavy.drift(k, 10.0 * far) / heavy.drift(k, far) == pytest.approx(0.1, rel=1e-3)
+
+
+@pytest.mark.parametrize("stokes_number", [0.3, 30.0])
+def test_sphere_does_not_drift(stokes_number: float) -> None:
+    assert abs(heavy.drift(1.0, stokes_number)) < 1e-15
+    assert heavy.mean_rotation_rate(1.0, stokes_number) == pytest.approx(0.5, rel=1e-13)
+
+
+# -- inertia of one part --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("inertia", ["translation", "rotation"])
+def test_part_without_inertia_follows_the_flow(inertia: Inertia) -> None:
+    n, rng = 9, np.random.default_rng(3)
+    x, q = rng.normal(size=(n, 3)), rotation.random_quaternions(n, rng)
+    equations = RigidBodyEquations(exact_model(0.4), paraboloid(), 2.0, n, inertia=inertia)
+    y = equations.initial_state(x, q, rng.normal(size=3), rng.normal(size=3))
+    v, omega = equations.velocities(0.0, y)
+    free = RigidBodyEquations(exact_model(0.4), paraboloid(), 0.0, n)
+    u, spin = free.velocities(0.0, free.initial_state(x, q))
+    followed = (omega, spin) if inertia == "translation" else (v, u)
+    kept = (v, u) if inertia == "translation" else (omega, spin)
+    assert np.allclose(*followed, rtol=0.0, atol=1e-14)
+    assert np.abs(kept[0] - kept[1]).max() > 0.1
+    columns = np.ascontiguousarray(y.T)
+    rate = np.empty_like(columns)
+    equations.rates(0.0, columns, rate)
+    assert np.array_equal(rate[:3].T, v)
+    rest = rate[10:13] if inertia == "translation" else rate[7:10]
+    assert not rest.any()
+
+
+@pytest.mark.parametrize("inertia", ["translation", "rotation"])
+def test_its_jacobian_is_exact_and_compiled_is_plain(inertia: Inertia) -> None:
+    n, rng = 3, np.random.default_rng(4)
+    x, q = rng.normal(size=(n, 3)), rotation.random_quaternions(n, rng)
+    plain, fast = (
+        RigidBodyEquations(
+            exact_model(2.5), paraboloid(), 0.7, n, evaluation=evaluation, inertia=inertia
+        )
+        for evaluation in ("plain", "compiled")
+    )
+    y = np.ascontiguousarray(plain.initial_state(x, q, x, x).T)
+    slopes, compiled = np.empty((n, 13, 13)), np.empty((n, 13, 13))
+    plain.jacobian_function()(0.0, y, slopes)
+    fast.jacobian_function()(0.0, y, compiled)
+    assert np.allclose(slopes, compiled, rtol=1e-13, atol=1e-13)
+    step = 1e-6
+    for j in range(13):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved, rate = y.copy(), np.empty_like(y)
+            moved[j] += sign * step
+            plain.rates(0.0, moved, rate)
+            sides.append(rate)
+        difference = (sides[0] - sides[1]) / (2.0 * step)
+        assert np.allclose(slopes[:, :, j], difference.T, rtol=1e-6, atol=1e-7)
+
+
+# -- averages -------------------------------------------------------------------------------------
+
+
+def test_orientation_in_the_plane_of_shear_is_exact() -> None:
+    axis = np.stack([np.cos([0.3, 2.0]), np.sin([0.3, 2.0]), [0.0, 0.0]], axis=-1)
+    q = simulate.orientation(axis)
+    assert np.allclose(rotation.axis(q), axis, atol=1e-15)
+    assert np.array_equal(q[:, 0], q[:, 1])
+    assert np.array_equal(q[:, 2], q[:, 3])
+
+
+def test_measured_rates_are_those_of_the_theory_within_the_uncertainty() -> None:
+    k, stokes = 2.0, [1.0, 2.0]
+    flow = simulate.polynomial(type="paraboloid", curvature=1.0 / 64.0)
+    axis = np.tile(simulate.orbit_axes(k, np.inf), (2, 1))
+    found = simulate.measure(k, flow, stokes, axis, 4, (0.0, 32.0, 0.0))
+    rates = [heavy.mean_rotation_rate(k, st) for st in stokes]
+    drifts = [heavy.drift(k, st) / 64.0 for st in stokes]
+    assert np.allclose(found.values["rotation_rate"], rates, rtol=1e-3)
+    assert np.allclose(found.values["velocity_2"], drifts, rtol=2e-3)
+    assert (found.half_turns >= 4).all()
+    assert (found.errors["velocity_2"] < 1e-2 * found.values["velocity_2"]).all()
+
+
+@pytest.mark.parametrize(("k", "inertia"), [(1.0, "both"), (0.5, "rotation")])
+def test_no_drift_of_spheres_and_without_inertia_of_translation(k: float, inertia: Inertia) -> None:
+    flow = simulate.polynomial(type="paraboloid", curvature=1.0 / 8.0)
+    axis = simulate.orbit_axes(k, 1.0)
+    found = simulate.measure(k, flow, 5.0, axis, 2, (0.0, 4.0, 0.0), inertia)
+    assert np.abs(found.values["velocity_2"]).max() < 1e-12
+
+
+# -- the machinery --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_blocks_are_plain_data_and_tables_and_figures_fit(name: str) -> None:
+    study = import_module(MAKERS[name])
+    for full in (False, True):
+        blocks = study.blocks(full)
+        assert json.loads(json.dumps(blocks)) == json.loads(json.dumps(list(blocks)))
+        assert len({json.dumps(block) for block in blocks}) == len(blocks)
+    tables = study.tables([])
+    assert all(isinstance(table, Table) and not len(table) for table in tables)
+
+
+CASE = """\
+task: study
+study: {tables: [acceleration], size: small, figures: true}
+output: {file: out.h5}
+"""
+
+
+def test_study_runs_resumes_and_draws(
+    run_cli: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    case = write_case(CASE)
+    done = run_cli(case, "--quiet")
+    assert done.returncode == 0, done.stderr
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"out.h5", "out_acceleration.csv", "out_acceleration.svg"} <= names
+    assert not (tmp_path / "out.h5.parts").exists()
+    table = Table.read_csv(tmp_path / "out_acceleration.csv")
+    rolling = table["orientation"] == "rolling"
+    assert np.allclose(table["ratio"][rolling], 1.0, atol=1e-4)
+
+
+def test_unfinished_study_is_kept_and_told(
+    run_cli: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    parts = tmp_path / "out.h5.parts"
+    parts.mkdir()
+    (parts / "study.json").write_text(json.dumps({"digest": "another"}))
+    case = write_case(CASE)
+    refused = run_cli(case, "--quiet")
+    assert refused.returncode == 2
+    assert "--resume" in refused.stderr
+    other = run_cli(case, "--quiet", "--resume")
+    assert other.returncode == 2
+    assert "another study" in other.stderr
