@@ -476,7 +476,7 @@ WORDS = st.sampled_from(
 @given(st.lists(WORDS | st.text(max_size=8), max_size=4))
 def test_arbitrary_command_lines(words: list[str]) -> None:
     """Anything may stand on the command line, as long as it does not start a run or write."""
-    if "--write" in words or "doctor" in words or (words and words[0] == "new"):
+    if "--write" in words or "doctor" in words or "new" in words:
         return
     Path("case.yaml").write_text(json.dumps(GOOD))
     runs = words and words[0] not in cli._COMMANDS
