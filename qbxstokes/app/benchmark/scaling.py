@@ -80,8 +80,8 @@ def growths(work: Work) -> Iterator[Growth]:
                  "a Fourier sum each", lambda m: _row(n_modes=m))  # fmt: skip
     yield Growth("operator on a density", "n_theta", work.choose((8, 16), (16, 32, 64, 128)), 2.0,
                  "a dense block per mode", _apply)  # fmt: skip
-    yield Growth("right-hand side", "bodies", work.choose((64, 1024), (256, 1024, 4096, 16384)), 1.0,
-                 "bodies are independent", _block)  # fmt: skip
+    yield Growth("right-hand side", "bodies", work.choose((64, 1024), (256, 1024, 4096, 16384)),
+                 1.0, "bodies are independent", _block)  # fmt: skip
     yield Growth("field", "targets", work.choose((100, 1000), (1000, 4000, 16000, 64000)), 1.0,
                  "targets are independent", _targets)  # fmt: skip
 
