@@ -188,7 +188,7 @@ def tumbling(k: float, stokes_number: float) -> Tumbling:
 def _nodes(k: float) -> int:
     """Odd number of nodes: 1/p has poles at a distance of about min(k, 1/k) from the axis."""
     thin = min(k, 1.0 / k)
-    return int(np.clip(30.0 / thin, 65, 1501)) | 1
+    return int(np.clip(20.0 / thin, 65, 1001)) | 1
 
 
 @lru_cache(maxsize=8)

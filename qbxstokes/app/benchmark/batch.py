@@ -98,7 +98,7 @@ def tables(work: Work) -> Iterator[Table]:
         error = float(np.abs(axes - exact[:count]).max())
         if error <= worst:
             break
-    rows.insert(0, ("SciPy DOP853, loop", 1, error, span * 1.0, evaluations))
+    rows.insert(0, ("SciPy DOP853, loop", 1, error, span, evaluations))
     base = count / span
     for method, size, error, span, evaluations in rows:
         trajectories = count if method != "block" else size

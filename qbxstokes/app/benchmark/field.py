@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.app import field_benchmark
 from qbxstokes.io.tables import Column, Table
@@ -40,11 +40,13 @@ def tables(work: Work) -> Iterator[Table]:
     columns = [Column(name, **_COSTS.get(name, {})) for name in rows[0]]
     costs = Table("field_costs", "Field: microseconds per target (k = 1/2)", tuple(columns))
     for row in rows:
-        # What cannot be reached has no cost.
-        costs.add(
-            **{n: None if isinstance(v, float) and math.isinf(v) else v for n, v in row.items()}
-        )
+        costs.add(**{name: _finite(value) for name, value in row.items()})
     yield costs
+
+
+def _finite(value: Any) -> Any:
+    """What cannot be reached has no cost."""
+    return None if isinstance(value, float) and math.isinf(value) else value
 
 
 _COSTS = {

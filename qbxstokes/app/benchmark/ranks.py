@@ -22,7 +22,7 @@ flow: {{type: shear}}
 time: {{periods: 2, samples: 5, tolerance: 1e-9}}
 sweep:
   axes:
-    - start.orientation: {{random: axis, count: {count}, seed: 1}}
+    - start.orientation: {{random: axes, count: {count}, seed: 1}}
 """
 
 
@@ -51,24 +51,27 @@ def tables(work: Work) -> Iterator[Table]:
         folder = Path(name)
         for size, stem in ((2, "few"), (count, "many")):
             (folder / f"{stem}.yaml").write_text(CASE.format(count=size))
+        # Fills the cache.
+        run([sys.executable, "-m", "qbxstokes", "few.yaml", "--quiet"], folder)
         for ranks in (1, 2):
             spans = {}
             for stem in ("few", "many"):
                 words = [launcher, "-n", str(ranks), sys.executable, "-m", "qbxstokes"]
                 words += [f"{stem}.yaml", "--overwrite", "--quiet", "--progress", "none"]
                 times = []
-                for turn in range(work.choose(1, 3) + 1):
-                    work.say(f"{ranks} ranks, {stem}, turn {turn}")
+                for turn in range(work.choose(1, 3)):
+                    work.say(f"{ranks} ranks, {stem}, turn {turn + 1}")
                     times.append(run(words, folder))
-                # The first turn fills the cache.
-                spans[stem] = sorted(times[1:])[(len(times) - 1) // 2]
-            shared = max(spans["many"] - spans["few"], 1e-9)
+                spans[stem] = sorted(times)[len(times) // 2]
+            shared = spans["many"] - spans["few"]
             base = base or shared
+            # Work shorter than the scatter of the start-up has no speed-up to speak of.
+            known = min(base, shared) > 0.5 * spans["few"]
             table.add(
                 ranks=ranks,
                 time=spans["many"],
                 start=spans["few"],
-                speedup=base / shared,
-                efficiency=base / shared / ranks,
+                speedup=base / shared if known else None,
+                efficiency=base / shared / ranks if known else None,
             )
     yield table

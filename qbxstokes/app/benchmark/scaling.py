@@ -71,19 +71,55 @@ def _targets(count: int) -> Callable[[], Any]:
 
 def growths(work: Work) -> Iterator[Growth]:
     """The measurements, small or full."""
-    every_row = "sources per row, whatever the nodes; interpolation grows with them"
-    yield Growth("row of the operator", "n_theta", work.choose((8, 16), (8, 16, 32, 64)), 1.0,
-                 every_row, lambda n: _row(n_theta=n))  # fmt: skip
-    yield Growth("row of the operator", "order p", work.choose((8, 32), (10, 20, 40, 80, 160)), 1.0,
-                 "recurrences of length p", lambda p: _row(order=p))  # fmt: skip
-    yield Growth("row of the operator", "modes", work.choose((2, 8), (4, 8, 16, 32)), 1.0,
-                 "a Fourier sum each", lambda m: _row(n_modes=m))  # fmt: skip
-    yield Growth("operator on a density", "n_theta", work.choose((8, 16), (16, 32, 64, 128)), 2.0,
-                 "a dense block per mode", _apply)  # fmt: skip
-    yield Growth("right-hand side", "bodies", work.choose((64, 1024), (256, 1024, 4096, 16384)),
-                 1.0, "bodies are independent", _block)  # fmt: skip
-    yield Growth("field", "targets", work.choose((100, 1000), (1000, 4000, 16000, 64000)), 1.0,
-                 "targets are independent", _targets)  # fmt: skip
+    row, sizes = "row of the operator", work.choose
+    yield Growth(
+        row,
+        "n_theta",
+        sizes((8, 16), (16, 32, 64, 128)),
+        1.0,
+        "sources do not grow, interpolation does",
+        lambda n: _row(n_theta=n),
+    )
+    yield Growth(
+        row,
+        "order p",
+        sizes((8, 32), (20, 40, 80, 160)),
+        1.0,
+        "recurrences of length p",
+        lambda p: _row(order=p),
+    )
+    yield Growth(
+        row,
+        "modes",
+        sizes((2, 8), (8, 16, 32, 64)),
+        1.0,
+        "a Fourier sum each",
+        lambda m: _row(n_modes=m),
+    )
+    yield Growth(
+        "operator on a density",
+        "n_theta",
+        sizes((8, 16), (32, 64, 128)),
+        2.0,
+        "a dense block per mode",
+        _apply,
+    )
+    yield Growth(
+        "right-hand side",
+        "bodies",
+        sizes((64, 1024), (1024, 4096, 16384, 65536)),
+        1.0,
+        "bodies are independent",
+        _block,
+    )
+    yield Growth(
+        "field",
+        "targets",
+        sizes((100, 1000), (1000, 4000, 16000, 64000)),
+        1.0,
+        "targets are independent",
+        _targets,
+    )
 
 
 def tables(work: Work) -> Iterator[Table]:

@@ -13,7 +13,7 @@ from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
 
-_SMALL = (1e-3, 0.02, 1.0, 50.0, 1e3)
+_SMALL = (0.02, 1.0, 1e3)
 _FULL = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 0.9, 1.0, 1.1, 2.0, 5.0, 10.0, 20.0,
          50.0, 100.0, 200.0, 500.0, 1000.0)  # fmt: skip
 # What is refused must at least be told within this factor.

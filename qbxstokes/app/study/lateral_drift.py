@@ -307,7 +307,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == "both")
         order = np.argsort(drift["stokes_number"][chosen])
         x, y = (drift[name][chosen][order] for name in ("stokes_number", "drift"))
-        fine = np.geomspace(0.1, 1000.0, 50)
+        fine = np.geomspace(0.1, 1000.0, 40)
         panels[0].plot(fine, [heavy.drift(k, float(s)) for s in fine], color=color)
         panels[0].plot(x, y, marker, color=color, label=f"{k:g}",
                        markerfacecolor="white" if k < 1.0 else color)  # fmt: skip
