@@ -530,7 +530,10 @@ TILE = 64
 
 
 def tables(table: Any) -> Any:
-    """The flow and the law as `free_motion` takes them."""
+    """The flow and the law as `free_motion` takes them.
+
+    Entry by entry, since the compiler makes no tuple of a slice.
+    """
     t = table
     velocity = (t[1], t[2], t[3])
     gradient = (t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12])
@@ -647,13 +650,8 @@ def massless_block(
                 mobility,
                 None if loads is None else column_of_loads(f, b),
             )
-            r[0, b] = rate[0]
-            r[1, b] = rate[1]
-            r[2, b] = rate[2]
-            r[3, b] = rate[3]
-            r[4, b] = rate[4]
-            r[5, b] = rate[5]
-            r[6, b] = rate[6]
+            for i in range(len(rate)):
+                r[i, b] = rate[i]
         for i in range(7):
             for b in range(count):
                 dydt[i, start + b] = r[i, b]
@@ -690,13 +688,8 @@ def massless_jacobian_block(
                     mobility,
                     None if loads is None else column_of_loads(f, b),
                 )
-                r[0, b] = rate[0].imag / STEP
-                r[1, b] = rate[1].imag / STEP
-                r[2, b] = rate[2].imag / STEP
-                r[3, b] = rate[3].imag / STEP
-                r[4, b] = rate[4].imag / STEP
-                r[5, b] = rate[5].imag / STEP
-                r[6, b] = rate[6].imag / STEP
+                for i in range(len(rate)):
+                    r[i, b] = rate[i].imag / STEP
             for i in range(7):
                 for b in range(count):
                     jacobian[start + b, i, j] = r[i, b]
@@ -749,19 +742,8 @@ def inertial_block(
                 gyration,
                 follow,
             )
-            r[0, b] = rate[0]
-            r[1, b] = rate[1]
-            r[2, b] = rate[2]
-            r[3, b] = rate[3]
-            r[4, b] = rate[4]
-            r[5, b] = rate[5]
-            r[6, b] = rate[6]
-            r[7, b] = rate[7]
-            r[8, b] = rate[8]
-            r[9, b] = rate[9]
-            r[10, b] = rate[10]
-            r[11, b] = rate[11]
-            r[12, b] = rate[12]
+            for i in range(len(rate)):
+                r[i, b] = rate[i]
         for i in range(13):
             for b in range(count):
                 dydt[i, start + b] = r[i, b]
@@ -815,19 +797,8 @@ def inertial_jacobian_block(
                     gyration,
                     follow,
                 )
-                r[0, b] = rate[0].imag / STEP
-                r[1, b] = rate[1].imag / STEP
-                r[2, b] = rate[2].imag / STEP
-                r[3, b] = rate[3].imag / STEP
-                r[4, b] = rate[4].imag / STEP
-                r[5, b] = rate[5].imag / STEP
-                r[6, b] = rate[6].imag / STEP
-                r[7, b] = rate[7].imag / STEP
-                r[8, b] = rate[8].imag / STEP
-                r[9, b] = rate[9].imag / STEP
-                r[10, b] = rate[10].imag / STEP
-                r[11, b] = rate[11].imag / STEP
-                r[12, b] = rate[12].imag / STEP
+                for i in range(len(rate)):
+                    r[i, b] = rate[i].imag / STEP
             for i in range(13):
                 for b in range(count):
                     jacobian[start + b, i, j] = r[i, b]
