@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import diagnostics
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.petsc import stepper
+from qbxstokes.petsc.native import native_rate
 from qbxstokes.petsc.stepper import Checkpoint, Chunk, Step, integrate
 from qbxstokes.reference import faxen, inertial, jeffery, lamb
 
@@ -116,6 +118,45 @@ def test_inertial_body_in_shear() -> None:
     expected = inertial.linear_flow(k, stokes_number, MATRIX, start[0, 3:7], times)
     assert np.abs(found.states[:, 0, 3:7] - expected.orientation).max() < 1e-9
     assert np.abs(found.states[:, 0, 10:13] - expected.angular_velocity).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("stokes_number", "loads", "inertia"),
+    [
+        (0.0, None, "both"),
+        (0.0, Loads(torque=(0.1, 0.0, 0.2)), "both"),
+        ([1.0, 2.0, 5.0], None, "both"),
+        ([1.0, 2.0, 5.0], Loads(body_force=(0.0, 0.3, 0.2)), "rotation"),
+    ],
+    ids=["massless", "massless, loaded", "inertial", "inertial, loaded, following"],
+)
+def test_the_rate_that_petsc_calls_itself_has_the_same_bits(
+    stokes_number: float | list[float], loads: Loads | None, inertia: Literal["both", "rotation"]
+) -> None:
+    n = 3
+    flow = paraboloid(0.1)
+    equations = RigidBodyEquations(
+        exact_model(0.5), flow, stokes_number, n, loads, None, "compiled", inertia
+    )
+    block = equations.block_constants()
+    assert block is not None
+    native = native_rate(block, n)
+    assert native is not None
+    rng = np.random.default_rng(2)
+    states = rng.standard_normal((equations.n_state, n))
+    through_python = np.empty_like(states)
+    equations.rate_function()(0.0, states, through_python)
+    ts = PETSc.TS().create(PETSc.COMM_SELF)
+    state = PETSc.Vec().createWithArray(states.ravel(), comm=PETSc.COMM_SELF)
+    rate = state.duplicate()
+    native.give(ts, state.duplicate())
+    ts.setSolution(state)
+    for _ in range(2):
+        rate.set(0.0)
+        ts.computeRHSFunction(0.0, state, rate)
+        assert rate.getArray().tobytes() == through_python.tobytes()
+    assert native.calls == 2
+    ts.destroy()
 
 
 @pytest.mark.parametrize("stokes_number", [0.0, 1e-3, 10.0])

@@ -109,6 +109,23 @@ class Constraints:
         return cls(velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0))
 
 
+@dataclass(frozen=True)
+class BlockConstants:
+    """What the compiled loop over a block needs besides the states.
+
+    table (74,): see `kernels.tables`. mobility (4,). loads (12, n), or None. rates (4, n), gyration
+    and follow (2,) or None, of inertial bodies alone: rates is None for massless ones.
+    """
+
+    degree: int
+    table: Array
+    mobility: Array
+    loads: Array | None
+    rates: Array | None
+    gyration: float
+    follow: tuple[float, float] | None
+
+
 class RigidBodyEquations:
     """dy/dt and its Jacobian for `n_bodies` bodies; see the module's text for the equations.
 
@@ -277,15 +294,33 @@ class RigidBodyEquations:
         """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
         return self._compiled("jacobian_block") if self.compiled(evaluations) else self.jacobian
 
+    def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
+        """All that the compiled loop takes, where it serves and nothing of it depends on time."""
+        if not (self._steady_loads and self.compiled(evaluations)):
+            return None
+        return self._block()
+
+    def _block(self) -> BlockConstants:
+        assert self._table is not None
+        return BlockConstants(
+            int(self._table[0]),
+            self._table,
+            np.array(self._mobility),
+            None if self._loads is None else self._load_rows,
+            None if self.massless else self._rates,
+            self._gyration,
+            self._follow,
+        )
+
     def _compiled(self, loop: str) -> Callable[[float, Array, Array], None]:
         """A compiled loop over the block with its constant arguments."""
         from qbxstokes.motion.compiled import loops
 
-        table, mobility, rates = self._table, np.array(self._mobility), self._rates
-        assert table is not None
+        block = self._block()
         kind = "massless" if self.massless else "inertial"
-        run = loops(int(table[0]))[f"{kind}_{loop}"]
-        inertia = () if self.massless else (rates, self._gyration, self._follow)
+        run = loops(block.degree)[f"{kind}_{loop}"]
+        inertia = () if self.massless else (block.rates, block.gyration, block.follow)
+        table, mobility = block.table, block.mobility
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads_at(t)

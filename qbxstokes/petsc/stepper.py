@@ -246,6 +246,7 @@ class _Run:
         self._prefix, self._end = prefix, float(times[-1])
         self._guide = _Guide(equations, checkpoint, self._end, tolerance)
         self._wanted = checkpoint.method or method or self._guide.method
+        self._native: Any = None
         database = PETSc.Options()
         self._monitored = any(name.startswith(f"{prefix}ts_monitor") for name in database.getAll())
         self._ts: Any = None
@@ -306,16 +307,28 @@ class _Run:
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self.checkpoint.local_tolerance or self._guide.tolerance(kind)
         self._expected = self._guide.evaluations(kind) + STAGES * len(self.times)
-        rate = self._rate_callback()
         if self._bodywise:
-            self._set_implicit(ts, rate, vector)
+            self._set_implicit(ts, self._rate_callback(), vector)
+        elif (native := self._native_rate()) is not None:
+            native.give(ts, vector.duplicate())
         else:
-            ts.setRHSFunction(rate, vector.duplicate())
+            ts.setRHSFunction(self._rate_callback(), vector.duplicate())
         weights = vector.duplicate()
         self._write(weights, self.local_tolerance * self._scales)
         ts.setTolerances(rtol=self.local_tolerance, atol=weights)
         ts.setSolution(vector)
+        self._most_steps = ts.getMaxSteps()
         return ts
+
+    def _native_rate(self) -> Any:
+        """The compiled rate as a C function, one for all integrators of the run, or None."""
+        if self._native is None:
+            block = self.equations.block_constants(self._expected)
+            if block is not None:
+                from qbxstokes.petsc.native import native_rate
+
+                self._native = native_rate(block, self.equations.n_bodies)
+        return self._native
 
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
         counter, equations = self.counter, self.equations
@@ -481,7 +494,7 @@ class _Run:
             before, start = t, self._vector.getArray(readonly=1).copy()
             halt = None
             try:
-                self._step()
+                self._step(start)
                 t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
                 if observe is not None:
                     halt = observe(self._observed(before, start, t))
@@ -519,6 +532,11 @@ class _Run:
             self._cut(deliver, t, index, samples)
         return True
 
+    @property
+    def _evaluations(self) -> int:
+        """Right-hand sides so far, by Python and by PETSc itself."""
+        return self.counter.evaluations + (self._native.calls if self._native else 0)
+
     def _observed(self, before: float, start: Array, after: float) -> Step:
         """The last step, for an observer."""
         end = self._vector.getArray(readonly=1)
@@ -529,8 +547,8 @@ class _Run:
 
         return Step(before, after, first, last, state)
 
-    def _step(self) -> None:
-        """One accepted step; every way it can fail ends in a ConvergenceError.
+    def _step(self, start: Array) -> None:
+        """One accepted step from the vector `start`; whatever fails is a ConvergenceError.
 
         A step with a stage where the rate has no value is taken back and tried a quarter as long:
         the error estimate does not see the stages that both formulas weigh alike.
@@ -539,7 +557,6 @@ class _Run:
         while True:
             counter.astray = False
             before, length, number = ts.getTime(), ts.getTimeStep(), ts.getStepNumber()
-            start = self._vector.getArray(readonly=1).copy()
             self._try_step()
             if not counter.astray:
                 self._largest = max(self._largest, ts.getTime() - before)
@@ -568,7 +585,7 @@ class _Run:
             raise self._failed(REASONS.get(reason, f"reason {reason}"))
         if not math.isfinite(self._vector.norm(PETSc.NormType.NORM_1)):
             raise self._failed("the state is no longer finite")  # PETSc accepts such a step
-        if ts.getStepNumber() >= ts.getMaxSteps():
+        if ts.getStepNumber() >= self._most_steps:
             raise self._failed("the largest number of steps (-ts_max_steps) is taken")
 
     def _failed(self, what: str) -> ConvergenceError | FlowError:
@@ -621,7 +638,7 @@ class _Run:
             local_tolerance=self.local_tolerance,
             steps=ts.getStepNumber(),
             rejections=old.rejections + ts.getStepRejections(),
-            evaluations=self.counter.evaluations,
+            evaluations=self._evaluations,
             jacobians=self.counter.jacobians,
             norm_drift=max(old.norm_drift, drift),
         )

@@ -1,0 +1,178 @@
+"""The right-hand side of a block as a C function that PETSc calls without Python in between.
+
+A call through petsc4py costs some 15 us, as much as a hundred bodies: small blocks would spend
+their time there. Numba makes a C function of the compiled loop (motion/compiled.py) instead, with
+the signature of TSRHSFunction. It finds PETSc's functions for arrays by their names.
+
+This module imports numba, and is itself imported where blocks are compiled.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+from numba import carray, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from qbxstokes.motion import kernels
+from qbxstokes.motion.compiled import loops
+from qbxstokes.motion.equations import BlockConstants
+
+Array = NDArray[np.float64]
+
+_NUMBER = types.CPointer(types.float64)
+# PetscErrorCode (TS, PetscReal, Vec, Vec, void *)
+_SIGNATURE = types.int32(types.voidptr, types.float64, types.voidptr, types.voidptr, _NUMBER)
+_ARRAYS = ("VecGetArrayRead", "VecRestoreArrayRead", "VecGetArray", "VecRestoreArray")
+
+_get_state, _restore_state, _get_rate, _restore_rate = (
+    types.ExternalFunction(name, types.int32(types.voidptr, types.voidptr)) for name in _ARRAYS
+)
+
+
+@intrinsic
+def _pointer(context, address):  # type: ignore[no-untyped-def]
+    """An address as a pointer to numbers."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.inttoptr(arguments[0], context.get_value_type(_NUMBER))
+
+    return _NUMBER(types.intp), generate
+
+
+@intrinsic
+def _frozen(context, array):  # type: ignore[no-untyped-def]
+    """An array as one that cannot be written to: what the loops are compiled for."""
+    frozen = array.copy(readonly=True)
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        context.nrt.incref(builder, signature.return_type, arguments[0])
+        return arguments[0]
+
+    return frozen(array), generate
+
+
+# Put in for each kind of block before compilation: its loop, the numbers of a state, and whether
+# there are loads, inertia, and parts that follow the flow.
+_loop: Any = None
+_STATE, _LOADED, _INERTIAL, _FOLLOWING = 7, False, False, False
+
+# Places of the constants: calls so far, number of bodies, and where each part begins.
+_CALLS, _BODIES, _TABLE, _MOBILITY, _GYRATION, _FOLLOW, _RATES = 0, 1, 2, 76, 80, 81, 83
+
+
+def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
+    """TSRHSFunction of a block; `constants` as `NativeRate` lays them out."""
+    n = int(constants[_BODIES])
+    constants[_CALLS] += 1.0
+    places = np.empty(2, np.intp)
+    failed = _get_state(state, places.ctypes)
+    if failed:
+        return failed
+    failed = _get_rate(rate, places[1:].ctypes)
+    if failed:
+        return failed
+    c = carray(constants, (_RATES + 16 * n,))
+    y = _frozen(carray(_pointer(places[0]), (_STATE, n)))
+    out = carray(_pointer(places[1]), (_STATE, n))
+    loads = c[_RATES + 4 * n :].reshape(12, n) if _LOADED else None
+    if _INERTIAL:
+        _loop(
+            y,
+            out,
+            c[_TABLE:_MOBILITY],
+            c[_MOBILITY:_GYRATION],
+            loads,
+            c[_RATES : _RATES + 4 * n].reshape(4, n),
+            c[_GYRATION],
+            (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None,
+        )
+    else:
+        _loop(y, out, c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION], loads)
+    failed = _restore_rate(rate, places[1:].ctypes)
+    if failed:
+        return failed
+    return _restore_state(state, places.ctypes)
+
+
+@cache
+def _compiled(degree: int, inertial: bool, loaded: bool, following: bool) -> Any:
+    """`_rate` for one kind of block, from numba's cache on disk where it is there."""
+    loop = loops(degree)["inertial_block" if inertial else "massless_block"]
+    namespace = globals() | {
+        "_loop": loop,
+        "_STATE": 13 if inertial else 7,
+        "_LOADED": loaded,
+        "_INERTIAL": inertial,
+        "_FOLLOWING": following,
+    }
+    copy = FunctionType(_rate.__code__, namespace, "_rate")
+    copy.__module__ = __name__
+    # The cache looks at this file alone: the name tells the version of what is called.
+    stamp = Path(kernels.__file__).stat().st_mtime_ns
+    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}_{stamp:x}"
+    return numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(copy)
+
+
+@cache
+def _library() -> Any:
+    """PETSc's library, None where its functions cannot be called by name."""
+    llvmlite.binding.load_library_permanently(PETSc.__file__)
+    library = ctypes.CDLL(PETSc.__file__)
+    known = all(hasattr(library, name) for name in (*_ARRAYS, "TSSetRHSFunction"))
+    return library if known and np.dtype(PETSc.ScalarType) == np.float64 else None
+
+
+class NativeRate:
+    """The compiled right-hand side of a block, ready to be given to integrators.
+
+    It has to outlive them: PETSc keeps the addresses of the function and of its constants.
+    """
+
+    def __init__(self, block: BlockConstants, n_bodies: int) -> None:
+        inertial = block.rates is not None
+        self._function = _compiled(
+            block.degree, inertial, block.loads is not None, block.follow is not None
+        )
+        self._constants = np.zeros(_RATES + 16 * n_bodies)
+        c = self._constants
+        c[_BODIES] = n_bodies
+        c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION] = block.table, block.mobility
+        if block.rates is not None:
+            c[_GYRATION] = block.gyration
+            c[_RATES : _RATES + 4 * n_bodies] = block.rates.ravel()
+        if block.follow is not None:
+            c[_FOLLOW:_RATES] = block.follow
+        if block.loads is not None:
+            c[_RATES + 4 * n_bodies :] = block.loads.ravel()
+
+    @property
+    def calls(self) -> int:
+        """How often PETSc has called it."""
+        return int(self._constants[_CALLS])
+
+    def give(self, ts: Any, work: Any) -> None:
+        """Make it the right-hand side of an integrator; `work` is a vector for its value."""
+        pointer = ctypes.c_void_p
+        failed = _library().TSSetRHSFunction(
+            pointer(ts.handle),
+            pointer(work.handle),
+            pointer(self._function.address),
+            pointer(self._constants.ctypes.data),
+        )
+        if failed:
+            raise PETSc.Error(failed)
+
+
+def native_rate(block: BlockConstants, n_bodies: int) -> NativeRate | None:
+    """The right-hand side of a block for PETSc, None where it has to go through Python."""
+    return None if _library() is None else NativeRate(block, n_bodies)
