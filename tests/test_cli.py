@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,16 @@ from conftest import ROOT, Run
 import qbxstokes
 from qbxstokes.app.cli import split_arguments
 from qbxstokes.app.plan import make_plan, rotation_period
-from qbxstokes.app.summary import _seen
+from qbxstokes.app.report import counted
+from qbxstokes.app.summary import _estimate, _seen, flow_text, shape_text
 from qbxstokes.app.tasks import plan_of
 from qbxstokes.config.describe import starter
+from qbxstokes.config.document import parse, read_text
 from qbxstokes.config.load import load_case
+from qbxstokes.config.schema import FOREIGN, Case
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
+from qbxstokes.io.results import load
 
 WriteCase = Callable[..., Path]
 
@@ -98,6 +103,83 @@ def test_every_task_has_a_starter(task: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(starter(task))
     assert load_case(path).case.task == task
+
+
+@pytest.mark.parametrize("task", sorted(FOREIGN))
+def test_starters_fit_a_terminal_and_hold_what_their_task_takes(task: str, tmp_path: Path) -> None:
+    text = starter(task)
+    assert max(map(len, text.splitlines())) <= 80
+    for key in FOREIGN[task]:
+        assert len(key) > 1 or not re.search(rf"^(# )?{key[0]}:", text, re.MULTILINE)
+    # Without the marks of what is commented out every section is there and reads as YAML.
+    path = tmp_path / "all.yaml"
+    path.write_text(re.sub(r"^# ", "", text, flags=re.MULTILINE))
+    sections = set(parse(read_text(path), "all.yaml").data)
+    assert sections == {name for name in Case.model_fields if (name,) not in FOREIGN[task]}
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        ("forces.force=[1,0,0]", "forces: has no meaning for task: field; give field.force"),
+        ("start.velocity=[1,0,0]", "start.velocity: has no meaning for task: field; give field.v"),
+        ("body.stokes_number=3", "body.stokes_number: has no meaning for task: field; leave"),
+        ("time.end=3", "time: has no meaning for task: field; leave it out, or use task: motion"),
+        ("output.fields=[axis]", "output.fields: has no meaning for task: field; leave it out"),
+    ],
+)
+def test_keys_of_other_tasks_are_refused(change: str, wrong: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(starter("field"))
+    with pytest.raises(CaseError) as caught:
+        load_case(path, [change])
+    assert wrong in str(caught.value)
+
+
+def test_counts_and_flows_read_well(tmp_path: Path) -> None:
+    texts = [counted(1, "rank"), counted(2, "rank"), counted(1.0, "period"), counted(0.5, "period")]
+    assert texts == ["1 rank", "2 ranks", "1 period", "0.5 periods"]
+    assert counted(0, "entry", "entries") == "0 entries"
+    path = tmp_path / "mine.yaml"
+    path.write_text("body: {aspect_ratio: 1}\nflow: {type: shear}\ntime: {end: 1}\n")
+    told = {
+        flow_text(load_case(path, change)) for change in ([], ["flow.rate=1"], ["flow.rate=1.0"])
+    }
+    assert told == {"shear, rate 1; polynomial of degree 1"}
+    assert shape_text(load_case(path).case) == "sphere, k = 1"
+
+
+def test_estimate_says_how_its_parts_combine() -> None:
+    parts = {"quadrature": 1e-12, "rounding": 2e-12}
+    texts = [_estimate({"error_parts": parts, "error_estimate": whole}) for whole in (3e-12, 5e-9)]
+    assert texts == [
+        "3.0e-12: sum of quadrature 1.0e-12, rounding 2.0e-12",
+        "5.0e-09: misfit of the law; besides, quadrature 1.0e-12, rounding 2.0e-12",
+    ]
+
+
+def test_doctor_fits_a_terminal(run_cli: Run) -> None:
+    done = run_cli("doctor")
+    wide = [line for line in done.stdout.splitlines() if len(line) > 80]
+    assert all(" " not in line[24:].strip() for line in wide)  # a path is not broken
+    assert "\nok   cache " in done.stdout
+
+
+def test_no_orbit_constant_without_shear(run_cli: Run, tmp_path: Path) -> None:
+    text = "body: {aspect_ratio: 0.5}\nflow: {type: extension}\ntime: {end: 1, samples: 3}\n"
+    (tmp_path / "case.yaml").write_text(text)
+    done = run_cli("case.yaml")
+    assert done.returncode == 0
+    assert "orbit constant" not in done.stdout
+    assert "orbit_constant" not in load(tmp_path / "case.h5").arrays
+    done = run_cli("case.yaml", "--set", "output.fields=[orbit_constant]")
+    assert done.returncode == 2
+    assert "exists in a simple shear only" in done.stderr
+    # In a shear along other axes it refers to these, and a free body keeps it.
+    turned = "flow.rotation={axis: [1, 2, 3], angle: 70 deg}"
+    done = run_cli("case.yaml", "--set", "flow.type=shear", "--set", turned, "--overwrite")
+    constant = load(tmp_path / "case.h5").arrays["orbit_constant"]
+    assert constant == pytest.approx(np.full(3, constant[0]), rel=1e-8)
 
 
 def test_tumbling_has_no_finite_orbit_constant() -> None:

@@ -19,7 +19,7 @@ from qbxstokes.config.sweep import Key
 from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation
-from qbxstokes.motion.averages import ShearFrame, turn_averages
+from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc.stepper import Trajectory, integrate
 
@@ -267,10 +267,10 @@ def _summarise(
     case, plan = scene.loaded.case, scene.plan
     steady = scene.loaded.flow.steady
     wanted = {*BASIC, *result.quantities}
-    samples = quantities(equations, result.times, trajectory.states, steady, wanted)
+    frame = plan.frame
+    samples = quantities(equations, result.times, trajectory.states, steady, wanted, frame.shear)
     for name, array in result.quantities.items():
         array[chosen] = samples[name].swapaxes(0, 1)
-    frame = ShearFrame.of(scene.loaded.flow.gradient(plan.position))
     table = result.summary
     averages = turn_averages(result.times, samples, case.body.aspect_ratio, frame, discard)
     for name in ("mean_velocity", "velocity_change"):

@@ -242,10 +242,9 @@ def _doctor(options: argparse.Namespace, words: Sequence[str]) -> int:
     if options.json:
         print(json.dumps([finding.__dict__ for finding in findings], indent=2))
     else:
-        for finding in findings:
-            print(f"{'ok  ' if finding.ok else 'BAD '} {finding.name:18} {finding.text}")
-            if finding.advice:
-                print(f"{'':24}{finding.advice}")
+        from qbxstokes.app.doctor import report
+
+        print(report(findings))
     return 0 if all(finding.ok for finding in findings) else 1
 
 

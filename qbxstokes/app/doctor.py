@@ -7,10 +7,14 @@ import os
 import platform
 import shutil
 import tempfile
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from qbxstokes import __version__
+from qbxstokes.app.report import WIDTH, counted, size
+from qbxstokes.io.cache import default_folder
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Findings on versions, MPI, PETSc, threads and write access."""
+    """Findings on versions, MPI, PETSc, threads, write access and the cache."""
     findings = [
         Finding("qbxstokes", True, f"{__version__}, Python {platform.python_version()}"),
         _package("numpy"),
@@ -40,8 +44,26 @@ def examine() -> list[Finding]:
         _threads(),
         _writable("working directory", os.getcwd()),
         _writable("temporary files", tempfile.gettempdir()),
+        _cache(),
     ]
     return findings
+
+
+def report(findings: Sequence[Finding]) -> str:
+    """A line for each finding, wrapped beside its name, and what to do about it below."""
+    lines = []
+    for finding in findings:
+        head = f"{'ok  ' if finding.ok else 'BAD '} {finding.name:18} "
+        for text, start in ((finding.text, head), (finding.advice, " " * len(head))):
+            lines += textwrap.wrap(
+                text,
+                WIDTH,
+                initial_indent=start,
+                subsequent_indent=" " * len(head),
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+    return "\n".join(lines)
 
 
 def _package(name: str, use: str = "", distribution: str = "") -> Finding:
@@ -105,3 +127,18 @@ def _writable(name: str, folder: str) -> Finding:
         return Finding(name, False, f"{folder}: cannot write ({error.strerror})", "choose another")
     free = shutil.disk_usage(folder).free / 2**30
     return Finding(name, True, f"{folder}: writable, {free:.1f} GiB free")
+
+
+def _cache() -> Finding:
+    folder = default_folder()
+    if folder is None:
+        return Finding("cache", True, "off (QBXSTOKES_CACHE is empty)")
+    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
+    if not os.access(there, os.W_OK | os.X_OK):
+        advice = "nothing is kept between runs; name a folder in QBXSTOKES_CACHE"
+        return Finding("cache", False, f"{folder}: cannot write", advice)
+    files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
+    held = sum(file.stat().st_size for file in files)
+    return Finding(
+        "cache", True, f"{folder}: {counted(len(files), 'entry', 'entries')}, {size(held)}"
+    )

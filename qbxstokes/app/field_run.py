@@ -12,7 +12,8 @@ from typing import Any
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.field import FieldPlan, run_field
 from qbxstokes.app.plan import result_path
-from qbxstokes.app.report import Rows, duration, error_text, quantity, render
+from qbxstokes.app.report import Rows, counted, duration, error_text, quantity, render
+from qbxstokes.app.summary import flow_text, shape_text
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 
@@ -63,14 +64,9 @@ def run_field_case(
 
 
 def _scene(loaded: LoadedCase) -> Rows:
-    case, flow = loaded.case, loaded.flow
-    assert case.field is not None
-    k = case.body.aspect_ratio
-    shape = "prolate" if k < 1 else "oblate" if k > 1 else "sphere"
-    keys = ", ".join(f"{key} {value}" for key, value in case.flow.spec().items())
-    degree = "" if flow.degree is None else f"; polynomial of degree {flow.degree}"
-    yield "body", f"{shape} spheroid, k = {quantity(k)}, {case.field.body}"
-    yield "flow", keys.removeprefix("type ") + degree
+    assert loaded.case.field is not None
+    yield "body", f"{shape_text(loaded.case)}, {loaded.case.field.body}"
+    yield "flow", flow_text(loaded)
 
 
 def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
@@ -112,8 +108,9 @@ def field_summary(loaded: LoadedCase, summary: dict[str, Any]) -> str:
             "Solved": [
                 (
                     "integral equation",
-                    f"{hydro['n_theta']} x {hydro['n_phi']} nodes, {hydro['solves']} solves, "
-                    f"{hydro['iterations']} iterations, true residual <= "
+                    f"{hydro['n_theta']} x {hydro['n_phi']} nodes, "
+                    f"{counted(hydro['solves'], 'solve')}, "
+                    f"{counted(hydro['iterations'], 'iteration')}, true residual <= "
                     f"{error_text(hydro['true_residual'])}",
                 ),
                 ("table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"),

@@ -16,6 +16,7 @@ from qbxstokes.errors import CaseError, FlowError
 from qbxstokes.flows.check import check_singularities, check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, free_name
+from qbxstokes.motion.averages import ShearFrame
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ class Plan:
 
     times: Array
     period: float | None
+    frame: ShearFrame
     position: Array
     quaternion: Array
     hydrodynamics: str  # "table", "grid" or "every_step"
@@ -53,7 +55,13 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
         raise loaded.error("output.file", str(error)) from None
     if not overwrite:
         output = free_name(output)
-    fields = tuple(MOTION_FIELDS)
+    position = np.array(case.start.position)
+    quaternion = start_quaternion(case)
+    check_flow(loaded, position, quaternion)
+    gradient = flow.gradient(position)
+    frame = ShearFrame.of(gradient)
+    # Elsewhere an orbit constant would be a number without meaning.
+    fields = tuple(name for name in MOTION_FIELDS if frame.simple or name != "orbit_constant")
     if case.output.fields is not None:
         for index, name in enumerate(case.output.fields):
             if name not in MOTION_FIELDS:
@@ -62,11 +70,14 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
                     f"{name!r} is not a quantity of a motion",
                     f"one of {', '.join(MOTION_FIELDS)}",
                 )
+            if name not in fields:
+                raise loaded.error(
+                    ("output", "fields", index),
+                    f"{name} exists in a simple shear only, which the flow at the start is not",
+                    "leave it out",
+                )
         fields = tuple(dict.fromkeys(case.output.fields))
-    position = np.array(case.start.position)
-    quaternion = start_quaternion(case)
-    check_flow(loaded, position, quaternion)
-    period = rotation_period(flow.gradient(position), case.body.aspect_ratio)
+    period = rotation_period(gradient, case.body.aspect_ratio)
     if case.time.periods is not None and period is None:
         raise loaded.error(
             "time.periods",
@@ -85,6 +96,7 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
     return Plan(
         times=times,
         period=period,
+        frame=frame,
         position=position,
         quaternion=quaternion,
         hydrodynamics=kind,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS
+from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.reference.jeffery import orbit_constant
 
 Array = NDArray[np.float64]
 
@@ -31,10 +31,12 @@ def quantities(
     states: Array,
     steady: bool,
     wanted: Iterable[str],
+    shear: Array | None = None,
 ) -> dict[str, Array]:
     """The wanted quantities (T, n, ...) from the states (T, n, n_state) at the times (T,).
 
-    steady: whether the flow is.
+    steady: whether the flow is. shear: directions (3, 3) of stream, gradient and vorticity to which
+    the orbit constant refers; it is NaN without them.
     """
     samples, n = states.shape[:2]
     steady = steady and equations.steady
@@ -64,7 +66,10 @@ def quantities(
         if "euler_angles" in wanted:
             found["euler_angles"] = rotation.to_euler(orientation)
         if "orbit_constant" in wanted:
-            found["orbit_constant"] = orbit_constant(equations.model.aspect_ratio, axis)
+            k = equations.model.aspect_ratio
+            found["orbit_constant"] = (
+                np.full(len(axis), np.nan) if shear is None else orbit_constant(axis, k, shear)
+            )
         if loads:
             found["force"], found["torque"] = many.force_torque(t, y)
         for name, values in found.items():

@@ -123,11 +123,13 @@ class Recording:
         """The function that takes the integrator's chunks."""
         if self._state is not None:
             events.restore(self._state)
-        steady = self._loaded.flow.steady
+        steady, shear = self._loaded.flow.steady, self._plan.frame.shear
 
         def receive(chunk: Chunk) -> None:
             if len(chunk.times):
-                found = quantities(equations, chunk.times, chunk.states, steady, MOTION_FIELDS)
+                found = quantities(
+                    equations, chunk.times, chunk.states, steady, MOTION_FIELDS, shear
+                )
                 columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION_FIELDS]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self.journal.append(SAMPLES, rows)

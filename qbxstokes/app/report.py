@@ -53,8 +53,14 @@ def quantity(value: float) -> str:
 
 
 def error_text(value: float) -> str:
-    """An error: two digits and an exponent."""
-    return f"{value:.1e}"
+    """An error: two digits and an exponent, or 0."""
+    return f"{value:.1e}" if value else "0"
+
+
+def counted(count: float, noun: str, plural: str = "") -> str:
+    """'1 rank', '2 ranks', '0.5 periods'; the plural ends in s unless given."""
+    number = str(count) if isinstance(count, int) else quantity(count)
+    return f"{number} {noun if number == '1' else plural or noun + 's'}"
 
 
 def duration(seconds: float) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from qbxstokes.app.plan import Plan, result_path
-from qbxstokes.app.report import Rows, duration, error_text, quantity, render, size
+from qbxstokes.app.report import Rows, counted, duration, error_text, quantity, render, size
 from qbxstokes.config.constraints import FREE, LOCKED
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
@@ -16,22 +18,47 @@ _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
 
 
+_LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
+
+
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     """Body, flow and time in three rows."""
-    case, flow = loaded.case, loaded.flow
-    k, stokes = case.body.aspect_ratio, case.body.stokes_number
-    shape = "prolate" if k < 1 else "oblate" if k > 1 else "sphere"
-    keys = ", ".join(f"{key} {_short(value)}" for key, value in case.flow.spec().items())
-    degree = "" if flow.degree is None else f"; polynomial of degree {flow.degree}"
+    case = loaded.case
+    stokes = case.body.stokes_number
     end = f"0 to {quantity(float(plan.times[-1]))}"
     if plan.period is not None:
         periods = float(plan.times[-1]) / plan.period
-        end += f" ({quantity(periods)} Jeffery periods of {quantity(plan.period)})"
+        end += f" ({counted(periods, 'Jeffery period')} of {quantity(plan.period)})"
     mass = "massless" if stokes == 0 else f"St = {quantity(stokes)}"
-    yield "body", f"{shape} spheroid, k = {quantity(k)}, {mass}"
-    yield "flow", keys.removeprefix("type ") + degree
+    yield "body", f"{shape_text(case)}, {mass}"
+    yield "flow", flow_text(loaded)
     yield from _driven(case)
     yield "time", f"{end}, {len(plan.times)} samples"
+
+
+def shape_text(case: Case) -> str:
+    """The body's shape and aspect ratio."""
+    k = case.body.aspect_ratio
+    if k == 1:
+        return "sphere, k = 1"
+    return f"{'prolate' if k < 1 else 'oblate'} spheroid, k = {quantity(k)}"
+
+
+def flow_text(loaded: LoadedCase) -> str:
+    """The flow's name, its keys with their values, given or not, and its degree."""
+    from qbxstokes.flows import REGISTRY
+
+    given = loaded.case.flow.spec()
+    name = given.pop("type")
+    defaults = {key: value for key, value in REGISTRY[name].keys().items() if _stated(value)}
+    parts = [name, *(f"{key} {_short(value)}" for key, value in {**defaults, **given}.items())]
+    degree = loaded.flow.degree
+    return ", ".join(parts) + ("" if degree is None else f"; polynomial of degree {degree}")
+
+
+def _stated(default: Any) -> bool:
+    """Whether a key has a default that says something."""
+    return default is not None and default is not inspect.Parameter.empty
 
 
 def _driven(case: Case) -> Rows:
@@ -105,6 +132,8 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     spent = ", ".join(
         f"{name} {duration(value)}" for name, value in times.items() if name != "total"
     )
+    if times.get("comparison", 0.0) > max(_LONG, times["motion"]):
+        spent += " (`compare: {reference: none}` leaves it out)"
     return render(
         loaded.case.title or f"Task {loaded.case.task}",
         str(loaded.path),
@@ -134,15 +163,14 @@ def _solved(summary: dict[str, Any]) -> Rows:
     if hydro["solves"]:
         yield (
             "GMRES",
-            f"{hydro['solves']} solves, {hydro['iterations']} iterations in all, "
+            f"{counted(hydro['solves'], 'solve')}, "
+            f"{counted(hydro['iterations'], 'iteration')} in all, "
             f"true residual <= {error_text(hydro['true_residual'])}",
         )
     if hydro["cache"] == "found":
         yield "", "body model from the cache (--no-cache forms it anew)"
-    parts = hydro.get("error_parts")
-    if parts:
-        text = ", ".join(f"{name} {error_text(value)}" for name, value in parts.items())
-        yield "estimated error", f"{error_text(hydro['error_estimate'])} ({text})"
+    if hydro.get("error_parts"):
+        yield "estimated error", _estimate(hydro)
     across, along, turning, spinning = summary["resistance"].values()
     yield (
         "resistance",
@@ -156,15 +184,27 @@ def _solved(summary: dict[str, Any]) -> Rows:
         yield "resumed", f"from the checkpoint at t = {quantity(summary['resumed_at'])}"
     yield (
         "motion",
-        f"TS {steps['method']}: {steps['steps']} steps, {steps['rejected']} rejected, "
+        f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+
+
+def _estimate(hydro: Mapping[str, Any]) -> str:
+    """The estimated error of the hydrodynamics, its parts, and how they make the whole."""
+    parts, estimate = hydro["error_parts"], hydro["error_estimate"]
+    text = ", ".join(f"{name} {error_text(value)}" for name, value in parts.items())
+    # How far the model misses the law of a polynomial flow is a bound that the sum may fall below.
+    whole = "sum of" if estimate <= sum(parts.values()) else "misfit of the law; besides,"
+    return f"{error_text(estimate)}: {whole} {text}"
 
 
 def _seen(summary: dict[str, Any]) -> Rows:
     """What was found on the way: events, and what they say of periods and drift."""
     found = summary["events"]
-    counts = [f"{count} {name.replace('_', ' ')}" for name, count in found["counts"].items()]
+    counts = [
+        counted(count, "half turn") if name == "half_turns" else f"{count} {name.replace('_', ' ')}"
+        for name, count in found["counts"].items()
+    ]
     if counts:
         yield "events", ", ".join(counts)
     if "period" in found:
@@ -189,5 +229,14 @@ def _seen(summary: dict[str, Any]) -> Rows:
 
 
 def _short(value: Any) -> str:
-    text = quantity(value) if isinstance(value, float) else str(value)
+    text = _text(value)
     return text if len(text) <= 48 else text[:45] + "..."
+
+
+def _text(value: Any) -> str:
+    """A value as in a case file, numbers alike whether or not they were written with a point."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_text(entry)}' for key, entry in value.items())}}}"
+    return quantity(value) if isinstance(value, float) else str(value)

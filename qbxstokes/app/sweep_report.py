@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from qbxstokes.app.cost import Estimate
-from qbxstokes.app.report import Rows, duration, quantity, render, size
+from qbxstokes.app.report import Rows, counted, duration, quantity, render, size
 from qbxstokes.app.scenes import Scenes
 from qbxstokes.config.sweep import column_name
 from qbxstokes.io.sweep import Layout
@@ -14,7 +14,7 @@ from qbxstokes.io.sweep import Layout
 def _axes(scenes: Scenes) -> Rows:
     for axis in scenes.space.axes:
         names = ", ".join(column_name(column.key) for column in axis.columns)
-        yield names, f"{axis.size} values{_range(axis.columns[0])}"
+        yield names, f"{counted(axis.size, 'value')}{_range(axis.columns[0])}"
 
 
 def _range(column: Any) -> str:
@@ -30,7 +30,7 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
     """What will run, how many, memory, disk and time."""
     sizes = scenes.block_sizes()
     stored = ", ".join(layout.fields) if layout.fields else "the table of summaries alone"
-    count = f"{scenes.space.size} trajectories"
+    count = counted(scenes.space.size, "trajectory", "trajectories")
     shape = " x ".join(str(n) for n in scenes.space.shape)
     bodies = len(scenes.bodies[1])
     return (
@@ -41,7 +41,7 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
                 "Varies": list(_axes(scenes)),
                 "Runs": [
                     ("trajectories", f"{count} ({shape})"),
-                    ("scenes", f"{scenes.size}, with {bodies} operators to form"),
+                    ("scenes", f"{scenes.size}, with {counted(bodies, 'operator')} to form"),
                     ("blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"),
                     ("samples", f"{scenes.samples} each; stored: {stored}"),
                 ],
@@ -50,7 +50,7 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
                     ("disk", f"{size(layout.bytes)} for {target}"),
                     (
                         "time",
-                        f"about {duration(estimate.seconds(ranks))} on {ranks} ranks "
+                        f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
                         f"({duration(estimate.work)} of work; a factor of 2 either way)",
                     ),
                 ],
@@ -75,12 +75,13 @@ def summary_text(scenes: Scenes, summary: dict[str, Any]) -> str:
                 (
                     "trajectories",
                     f"{summary['done']} done, {summary['failed']} failed, "
-                    f"in {summary['blocks']} blocks of {summary['scenes']} scenes",
+                    f"in {counted(summary['blocks'], 'block')} of "
+                    f"{counted(summary['scenes'], 'scene')}",
                 ),
                 ("right-hand sides", f"{summary['rhs_evaluations']:.4g}, {rates:.3g} per second"),
             ],
             "Times": [
-                ("sweep", f"{duration(wall)} on {summary['ranks']} ranks"),
+                ("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}"),
                 ("rank 0", spent),
             ],
             "Result": [("file", summary["result"])],

@@ -13,7 +13,6 @@ from qbxstokes.config.load import LoadedCase
 from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import Field
-from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import (
     Event,
@@ -52,7 +51,6 @@ def build_events(
     section, flow = loaded.case.events, loaded.flow
     k = loaded.case.body.aspect_ratio
     gradient = flow.gradient(plan.position)
-    frame = ShearFrame.of(gradient)
     passage = None
     if section.half_turns and (plan.period is not None or section.plane is not None):
         plane = None if section.plane is None else np.array(section.plane)
@@ -79,7 +77,7 @@ def build_events(
                 "events.clearance", f"is {least:g}, more than the {there:.3g} at the start"
             )
         events.append(meeting(flow.singular_points, k, least))
-    return Events(equations, passage, events, frame if frame.simple else None)
+    return Events(equations, passage, events, plan.frame if plan.frame.simple else None)
 
 
 def _axis(quaternion: Array) -> Array:

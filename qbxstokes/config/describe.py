@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Iterator
+import re
+import textwrap
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from pydantic import BaseModel
@@ -13,7 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from qbxstokes.config.document import printable
 from qbxstokes.config.load import section_of
-from qbxstokes.config.schema import Case
+from qbxstokes.config.schema import FOREIGN, Case
 from qbxstokes.errors import CaseError
 
 SCHEMA_FILE = "case.schema.json"
@@ -85,6 +87,8 @@ def json_schema() -> dict[str, Any]:
     }
 
 
+_WIDTH = 80
+_WORDS = re.compile(r"[A-Za-z][\w ./()*^+-]*")  # plain in YAML, and no number
 _STARTERS: dict[str, dict[str, Any]] = {
     "motion": {
         "task": "motion",
@@ -110,48 +114,75 @@ _STARTERS: dict[str, dict[str, Any]] = {
 
 
 def starter(task: str = "motion") -> str:
-    """A case file that runs as it is, with every key: the optional ones commented out.
+    """A case file that runs as it is, with every key of its task: the optional ones commented out.
 
-    Raises CaseError for a task that has no starter.
+    Lines are at most 80 columns wide. Raises CaseError for a task that has no starter.
     """
     if task not in _STARTERS:
         raise CaseError(f"--task {printable(task)}: unknown; one of {', '.join(_STARTERS)}")
     values = _STARTERS[task]
     lines = [
-        "# Every key with its meaning; commented ones show their default or an example.",
-        "# Run it with: python -m qbxstokes FILE",
+        "## Every key that this task takes, with its meaning. Keys behind a # show their",
+        "## default, or an example where there is none. Run it with:",
+        "##     python -m qbxstokes FILE",
     ]
     for name, field in Case.model_fields.items():
-        lines += ["", *_starter_lines(name, field, values, 0)]
+        if (name,) not in FOREIGN[task]:
+            lines += ["", *_starter_lines((name,), field, values, FOREIGN[task], "")]
     return "\n".join(lines) + "\n"
 
 
-def _starter_lines(name: str, field: FieldInfo, values: dict[str, Any], depth: int) -> list[str]:
-    pad = "  " * depth
-    inner = section_of(field.annotation)
+def _starter_lines(
+    key: tuple[str, ...],
+    field: FieldInfo,
+    values: dict[str, Any],
+    foreign: Collection[tuple[str, ...]],
+    pad: str,
+) -> list[str]:
+    """Lines of a key and of what is below it. pad: what stands before them, a "# " included."""
+    name, inner = key[-1], section_of(field.annotation)
     given = name in values
-    comment = f"  # {_choices(field)}{field.description}"
+    # One mark in front of a whole section that is commented out, none within it.
+    mark = "" if given or "#" in pad else "# "
+    comment = f"{_choices(field)}{field.description}"
+    if key == ("flow", "type"):
+        comment = f"{comment}. Flows: {', '.join(flow for flow, _, _ in flows())}"
     if inner:
-        mark = "" if given else "# "
-        lines = [f"{pad}{mark}{name}:{comment}"]
+        lines = _commented(pad, f"{pad}{mark}{name}:", comment)
         held = values.get(name, {})
-        for key, subfield in inner.model_fields.items():
-            nested = _starter_lines(key, subfield, held, depth + 1)
-            if not given:  # one mark in front of the whole section, none within it
-                nested = [f"{pad}# {line[len(pad) :].replace('# ', '', 1)}" for line in nested]
-            lines += nested
-        known = set(inner.model_fields)
-        lines += [f"{pad}  {key}: {_yaml(held[key])}" for key in held if key not in known]
-        return lines
+        below = f"{pad}{mark}  "
+        for other, subfield in inner.model_fields.items():
+            if (*key, other) not in foreign:
+                lines += _starter_lines((*key, other), subfield, held, foreign, below)
+        extra = set(held) - set(inner.model_fields)
+        return lines + [f"{below}{other}: {_yaml(held[other])}" for other in held if other in extra]
     if given:
-        return [f"{pad}{name}: {_yaml(values[name])}{comment}"]
-    example = field.examples[0] if field.examples else None
-    shown = default_text(field) if field.default not in (None, PydanticUndefined) else ""
-    return [f"{pad}# {name}: {shown or (_yaml(example) if example is not None else '')}{comment}"]
+        return _commented(pad, f"{pad}{name}: {_yaml(values[name])}", comment)
+    shown = field.default
+    if shown in (None, "", {}) or shown is PydanticUndefined:
+        shown = field.examples[0] if field.examples else None
+    text = "" if shown is None else f" {_yaml(shown)}"
+    return _commented(pad, f"{pad}{mark}{name}:{text}", comment)
+
+
+def _commented(pad: str, line: str, comment: str) -> list[str]:
+    """The line with its comment beside it, or above it where both are too wide for one."""
+    whole = f"{line}  # {comment}"
+    if len(whole) <= _WIDTH:
+        return [whole]
+    above = f"{pad}## "
+    return [*textwrap.wrap(comment, _WIDTH, initial_indent=above, subsequent_indent=above), line]
 
 
 def _yaml(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+    """A value in the flow style of YAML, words without quotes where they need none."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_yaml(entry)}' for key, entry in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_yaml, value))}]"
+    if isinstance(value, str) and _WORDS.fullmatch(value):
+        return value
+    return json.dumps(value)
 
 
 def _choices(field: FieldInfo) -> str:

@@ -124,7 +124,9 @@ class Lines(Section):
         default=21, description="number of starting points on the segment"
     )
     points: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = Field(
-        default=None, description="starting points one by one; replaces the segment"
+        default=None,
+        description="starting points one by one; replaces the segment",
+        examples=[[[-3.0, 0.5, 0.0], [-3.0, 0.0, 0.5]]],
     )
     frame: Frame = Field(default="centre", description=FRAME)
     tolerance: Annotated[Number, Field(gt=0, le=0.1)] = Field(
@@ -150,7 +152,9 @@ class Tracers(Lines):
     """Particles carried by the flow while the body moves, from time 0."""
 
     duration: Annotated[Number, Field(gt=0)] | None = Field(
-        default=None, description="end of the paths; unset: that of the motion"
+        default=None,
+        description="end of the paths; unset: that of the motion",
+        examples=[10.0],
     )
     samples: Annotated[Integer, Field(ge=2, le=1_000_000)] = Field(
         default=201, description="instants stored"

@@ -34,6 +34,32 @@ Task = Literal["motion", "field", "benchmark", "stress", "study"]
 # Tasks that build their own scenes and make tables; each has a section of its own name.
 TABLE_TASKS = ("benchmark", "stress", "study")
 
+# Sections, and keys of sections, that have no meaning for a task, and what would be right instead.
+# They are refused where they are given, and starter cases leave them out.
+_OWN_SCENES = "leave it out: it has its own"
+_ONE_INSTANT = "leave it out, or use task: motion"
+FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
+    "motion": {
+        ("field", name): "leave it out"
+        for name in ("body", "force", "torque", "velocity", "angular_velocity")
+    },
+    "field": {
+        **{(name,): _ONE_INSTANT for name in ("constraints", "time", "events")},
+        **{(name,): _ONE_INSTANT for name in ("checkpoint", "sweep")},
+        **{("field", name): "leave it out" for name in ("every", "at")},
+        ("forces",): "give field.force and field.torque",
+        ("start", "velocity"): "give field.velocity, with field.body: moving",
+        ("start", "angular_velocity"): "give field.angular_velocity, with field.body: moving",
+        ("body", "stokes_number"): "leave it out: the flow at one instant knows no inertia",
+        ("body", "inertia"): "leave it out: the flow at one instant knows no inertia",
+    },
+    **{task: {(name,): _OWN_SCENES for name in SCENE_SECTIONS} for task in TABLE_TASKS},
+}
+_SAMPLES = "leave it out: it chooses among the samples of a motion"
+for _task, _keys in FOREIGN.items():
+    _keys |= {(name,): "leave it out" for name in TABLE_TASKS if name != _task}
+    _keys |= {} if _task == "motion" else {("output", "fields"): _SAMPLES}
+
 PetscValue = str | int | float | bool | None
 
 
@@ -106,21 +132,24 @@ class Case(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _scene_of_tables(cls, data: Any) -> Any:
-        """A task that builds its own scenes takes none, and stands on a scene that is not used."""
+    def _keys_fit_task(cls, data: Any) -> Any:
+        """Refuse what has no meaning for the task.
+
+        A task that builds its own scenes stands on a scene that is not used.
+        """
         if not isinstance(data, dict):
             return data
         task = data.get("task", "motion")
-        for name in TABLE_TASKS:
-            if name in data and name != task:
-                raise problem(f"has no meaning for task: {task}", "leave it out", (name,))
+        if not isinstance(task, str) or task not in FOREIGN:
+            return data
+        for key, right in FOREIGN[task].items():
+            holder: Any = data
+            for part in key[:-1]:
+                holder = holder.get(part) if isinstance(holder, dict) else None
+            if isinstance(holder, dict) and holder.get(key[-1]) is not None:
+                raise problem(f"has no meaning for task: {task}", right, key)
         if task not in TABLE_TASKS:
             return data
-        for name in SCENE_SECTIONS:
-            if name in data:
-                raise problem(
-                    f"has no meaning for task: {task}", "leave it out: it has its own", (name,)
-                )
         return {**data, "body": {"aspect_ratio": 1.0}, "flow": {"type": "uniform"}}
 
     @model_validator(mode="after")
@@ -130,14 +159,10 @@ class Case(Section):
         if self.task == "field":
             if self.field is None:
                 raise problem("is missing", "task: field needs it, such as `plane: {}`", ("field",))
-            for name in ("time", "sweep"):
-                if getattr(self, name, None) is not None:
-                    raise problem(
-                        "has no meaning for task: field",
-                        "leave it out, or use task: motion",
-                        (name,),
-                    )
-        self._check_field_of_motion()
+            tracers = self.field.tracers
+            if tracers is not None and tracers.duration is None:
+                key = ("field", "tracers", "duration")
+                raise problem("is missing", "task: field needs the end of the paths", key)
         self._check_forces()
         if self.body.stokes_number == 0:
             for name in ("velocity", "angular_velocity"):
@@ -149,23 +174,6 @@ class Case(Section):
                     )
         self._check_uniform_radius()
         return self
-
-    def _check_field_of_motion(self) -> None:
-        """Refuse the keys of `field` that belong to the other task."""
-        if self.field is None:
-            return
-        tracers = self.field.tracers
-        if self.task == "field" and tracers is not None and tracers.duration is None:
-            key = ("field", "tracers", "duration")
-            raise problem("is missing", "task: field needs the end of the paths", key)
-        foreign: tuple[str, ...] = ("every", "at")
-        if self.task == "motion":
-            foreign = ("body", "force", "torque", "velocity", "angular_velocity")
-        for name in foreign:
-            if name in self.field.model_fields_set:
-                raise problem(
-                    f"has no meaning for task: {self.task}", "leave it out", ("field", name)
-                )
 
     def _check_forces(self) -> None:
         """Refuse weights without mass, and starts that a constraint leaves no room for."""

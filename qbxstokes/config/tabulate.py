@@ -9,7 +9,10 @@ from pydantic import Field
 from qbxstokes.config.base import Boolean, Section, Text
 
 # Sections of a case that have no meaning where a task builds its own scenes.
-SCENE_SECTIONS = ("body", "flow", "start", "time", "hydrodynamics", "field", "sweep", "compare")
+SCENE_SECTIONS = (
+    *("body", "flow", "start", "forces", "constraints", "time", "hydrodynamics"),
+    *("field", "events", "checkpoint", "sweep", "compare"),
+)
 
 
 class Tables(Section):

@@ -67,9 +67,8 @@ class Shear(PolynomialFlow):
 
 
 class Extension(PolynomialFlow):
-    """Irrotational extension of one of three kinds.
-
-    u = rate (x1, -x2/2, -x3/2) uniaxial, rate (x1, x2, -2 x3) biaxial, rate (x1, -x2, 0) planar.
+    """Extension without rotation, along e1: u = rate (x1, -x2/2, -x3/2) of kind `uniaxial`,
+    rate (x1, x2, -2 x3) of kind `biaxial`, rate (x1, -x2, 0) of kind `planar`.
     """
 
     type_name = "extension"

@@ -70,7 +70,7 @@ MOTION_FIELDS: dict[str, Field] = {
         (3,), "rad", "body to space", "phi, theta, psi of R3 R1 R3", ("phi", "theta", "psi")
     ),
     "orbit_constant": Field(
-        (), "1", "", "Jeffery's orbit constant in the shear (x2, 0, 0): infinite when tumbling"
+        (), "1", "", "Jeffery's orbit constant in the shear at the start: infinite when tumbling"
     ),
 }
 

@@ -32,6 +32,11 @@ class ShearFrame:
     axes: Array
     simple: bool
 
+    @property
+    def shear(self) -> Array | None:
+        """The directions in a simple shear; None elsewhere, where no orbit constant exists."""
+        return self.axes if self.simple else None
+
     @classmethod
     def of(cls, gradient: Array) -> ShearFrame:
         """Frame of the velocity gradient A[i, j] = du_i/dx_j at one point.
@@ -68,8 +73,9 @@ def turn_averages(
     half_turns (counted), period (of two half-turns), period_change (second half of the half-turns
     minus the first, relative), rotation_rate (mean rate of the axis about e_n, with its sign),
     mean_velocity (3), velocity_change (the same for the two halves, 3), orbit_constant_start and
-    _end (first and last sample), orbit_drift (rate of ln C; NaN when tumbling). NaN where there is
-    no whole half-turn; the mean velocity is then that of the whole window.
+    _end (first and last sample; NaN in a flow that is not a simple shear), orbit_drift (rate of
+    ln C; NaN when tumbling). NaN where there is no whole half-turn; the mean velocity is then that
+    of the whole window.
     """
     first = int(np.searchsorted(times, times[0] + discard * (times[-1] - times[0])))
     first = min(first, len(times) - 1)
@@ -146,9 +152,11 @@ def turn_averages(
     result["mean_velocity"] = np.where(some[:, None], speed, (x[-1] - x[0]) / whole)
     halves = (some & (middle_count >= 1))[:, None]
     result["velocity_change"] = np.where(halves, late_speed - early_speed, np.nan)
-    result["orbit_constant_start"] = orbit_constant(samples["axis"][0], aspect_ratio, frame.axes)
-    result["orbit_constant_end"] = orbit_constant(axis[-1], aspect_ratio, frame.axes)
-    result["orbit_drift"] = np.where(some & np.isfinite(drift), drift, np.nan)
+    for name, ends in (("start", samples["axis"][0]), ("end", axis[-1])):
+        constant = orbit_constant(ends, aspect_ratio, frame.axes)
+        result[f"orbit_constant_{name}"] = constant if frame.simple else np.full(n, np.nan)
+    drifts = some & np.isfinite(drift) & frame.simple
+    result["orbit_drift"] = np.where(drifts, drift, np.nan)
     return result
 
 

@@ -10,6 +10,7 @@ functions of e^2 and hold for oblate ones, e^2 < 0, by continuation (L/e = 2 ata
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 _SERIES = tuple(range(1, 40))
 
 
+@lru_cache(maxsize=64)
 def _brackets(k: float) -> tuple[float, float]:
     """(-2e + (1+e^2) L)/e^3 and (2e + (3e^2-1) L)/e^3 with L = log[(1+e)/(1-e)].
 
@@ -56,12 +58,18 @@ def fixed_force(k: float, curvature: float, eta: float, cosine: float, sine: flo
     cosine = e1.D3, sine = e1.D1; D3 component 16 pi e^3 K cos B/(-2e + (1+e^2) L), D1 component
     32 pi e^3 K sin B/(2e + (3e^2-1) L), B = eta^2 + (2 - e^2 - e^2 cos^2)/3.
     """
+    across, along = force_components(k, curvature, eta, cosine, sine)
+    return np.array([across, 0.0, along])
+
+
+def force_components(
+    k: float, curvature: float, eta: float, cosine: float, sine: float
+) -> tuple[float, float]:
+    """Components of `fixed_force` along D1 and D3, plain numbers for integrators."""
     axial, transverse = _brackets(k)
     square = 1.0 - k * k
     flow = curvature * (eta**2 + (2.0 - square - square * cosine**2) / 3.0)
-    return np.array(
-        [32.0 * np.pi * sine * flow / transverse, 0.0, 16.0 * np.pi * cosine * flow / axial]
-    )
+    return 32.0 * math.pi * sine * flow / transverse, 16.0 * math.pi * cosine * flow / axial
 
 
 def fixed_torque(k: float, curvature: float, eta: float, cosine: float) -> Array:
@@ -69,7 +77,11 @@ def fixed_torque(k: float, curvature: float, eta: float, cosine: float) -> Array
 
     D2 component -64 pi e^3 K eta (1 - e^2 cos^2)/(3 (-2e + (1+e^2) L)); cosine = e1.D3.
     """
+    return np.array([0.0, torque_component(k, curvature, eta, cosine), 0.0])
+
+
+def torque_component(k: float, curvature: float, eta: float, cosine: float) -> float:
+    """Component of `fixed_torque` along D2, a plain number for integrators."""
     axial, _ = _brackets(k)
     square = 1.0 - k * k
-    second = -64.0 * np.pi * curvature * eta * (1.0 - square * cosine**2) / (3.0 * axial)
-    return np.array([0.0, second, 0.0])
+    return -64.0 * math.pi * curvature * eta * (1.0 - square * cosine**2) / (3.0 * axial)

@@ -10,6 +10,8 @@ for Euler angles (phi, theta, psi) with R = R3(phi) R1(theta) R3(psi).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,14 +36,19 @@ def free_angular_velocity(k: float, gradient: ArrayLike) -> Array:
     (the zero of `torque`). gradient: A (..., 3, 3) in the body frame.
     """
     a = np.asarray(gradient, dtype=float)
+    off = (a[..., i, j] for i, j in ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1)))
+    return np.stack(free_rates(k, *off), axis=-1)
+
+
+def free_rates(
+    k: float, a12: Any, a21: Any, a13: Any, a31: Any, a23: Any, a32: Any
+) -> tuple[Any, Any, Any]:
+    """The three components of `free_angular_velocity`, of numbers or arrays alike."""
     square = k * k
-    return np.stack(
-        [
-            (square * a[..., 2, 1] - a[..., 1, 2]) / (1.0 + square),
-            (a[..., 0, 2] - square * a[..., 2, 0]) / (1.0 + square),
-            0.5 * (a[..., 1, 0] - a[..., 0, 1]),
-        ],
-        axis=-1,
+    return (
+        (square * a32 - a23) / (1.0 + square),
+        (a13 - square * a31) / (1.0 + square),
+        0.5 * (a21 - a12),
     )
 
 
