@@ -193,7 +193,12 @@ def test_study_runs_resumes_and_draws(
     done = run_cli(case, "--quiet")
     assert done.returncode == 0, done.stderr
     names = {path.name for path in tmp_path.iterdir()}
-    assert {"out.h5", "out_acceleration.csv", "out_acceleration.svg"} <= names
+    assert {
+        "out.h5",
+        "out_acceleration.csv",
+        "out_acceleration.pdf",
+        "out_acceleration.png",
+    } <= names
     assert not (tmp_path / "out.h5.parts").exists()
     table = Table.read_csv(tmp_path / "out_acceleration.csv")
     rolling = table["orientation"] == "rolling"

@@ -198,10 +198,12 @@ def letter_panels(panels: Sequence[Axes]) -> None:
             axes.set_title(f"({chr(ord('a') + index)})", loc="right", pad=4)
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path, dpi: float | None = None, colours: int | None = None) -> Path:
     """Write the figure in the format of the name's ending; raises CaseError where it cannot.
 
-    The file appears under its name only when it is whole. An older picture is replaced.
+    The file appears under its name only when it is whole. An older picture is replaced. dpi:
+    resolution, if not that of print. colours: a PNG of a palette of so many, several times smaller
+    for drawings of lines.
     """
     kind = path.suffix[1:]
     if kind not in FORMATS:
@@ -212,8 +214,20 @@ def save(figure: Figure, path: Path) -> Path:
         "png": {"Software": f"qbxstokes {__version__}"},
     }
     with whole_file(path) as temporary, styled():
-        figure.savefig(temporary, format=kind, metadata=metadata[kind])
+        resolution = dpi or _SETTINGS["savefig.dpi"]
+        figure.savefig(temporary, format=kind, metadata=metadata[kind], dpi=resolution)
+        if kind == "png" and colours is not None:
+            _reduce(temporary, colours)
     return path
+
+
+def _reduce(path: Path, colours: int) -> None:
+    """Rewrite a PNG with a palette; without dithering, so that lines keep clean edges."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE)
+        small.save(path, "PNG", optimize=True, dpi=picture.info.get("dpi", (72, 72)))
 
 
 @contextmanager

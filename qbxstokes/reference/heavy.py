@@ -203,7 +203,7 @@ def _derivative(n: int) -> Array:
 
 
 def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array | None:
-    p = start.copy()
+    p, before = start.copy(), np.inf
     for _ in range(30):
         slope = derivative @ p
         residual = lag * p * slope - (p - free)
@@ -212,14 +212,27 @@ def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array |
         p = p - change
         if not np.all(p > 0.0):
             return None
-        if np.max(np.abs(change)) < 1e-13:
+        size = float(np.max(np.abs(change)))
+        # For a large lag rounding keeps the changes above any fixed bound: there they stagnate.
+        if size < 1e-13 or (size < 1e-8 and size > 0.1 * before):
             return np.asarray(p)
+        before = size
     return None
 
 
 def mean_rotation_rate(k: float, stokes_number: float) -> float:
     """Mean rate of tumbling in the plane of shear: k/(1+k^2) for St = 0, 1/2 for St -> infinity."""
     return tumbling(k, stokes_number).rate
+
+
+def light_rate_coefficient(k: float) -> float:
+    """m in rate = k/(1+k^2) (1 + m (St J1/R)^2 + ...) for light bodies: s (1 - s).
+
+    s = 2k/(1+k^2). Inserting p = f + t f f' + t^2 (f^2 f'' + 2 f f'^2) + ..., f = -g and
+    t = St J1/R, in the planar equation gives the mean of 1/p as <1/f> - t^2 <f'^2/f>.
+    """
+    s = 2.0 * k / (1.0 + k * k)
+    return s * (1.0 - s)
 
 
 def tumbling_exponent(k: float, stokes_number: float) -> float:
@@ -280,6 +293,17 @@ def small_stokes_drift_on_orbit(k: float, constant: float) -> float:
     mobility = 1.0 / axial - 1.0 / transverse
     lag = np.mean(d[:, 0] * d[:, 1] * (-2.0 * d[:, 0] * g[:, 0]))
     return float(-volume(k) * mobility * (1.0 - k * k) / 3.0 * lag)
+
+
+def large_stokes_drift(k: float) -> float:
+    """Drift velocity times St/K of a tumbling body, St -> infinity: (R1 - R3)(1 - k^2)/(24 Theta).
+
+    The body turns uniformly, d = (cos t/2, -sin t/2), and its velocity stays all but constant, so
+    that w1 = (1-k^2)/6 cos t to leading order: the balance of <R w> along the stream, R11 varying
+    as (R3 - R1)/2 cos t, sets the mean of w2.
+    """
+    transverse, axial = lamb.translation_resistance(k)
+    return (transverse - axial) * (1.0 - k * k) / (24.0 * volume(k))
 
 
 def drift(k: float, stokes_number: float, parts: Inertia = "both") -> float:

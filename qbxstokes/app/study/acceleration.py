@@ -16,6 +16,8 @@ from qbxstokes.reference import heavy
 Array = NDArray[np.float64]
 
 DISTANCE = 8.0
+# A fit that misses by more than this part of its amplitude is none: there is no such time.
+MISFIT = 0.01
 ORIENTATIONS = {
     "rolling": (0.0, 0.0, 1.0),
     "along": (1.0, 0.0, 0.0),
@@ -70,6 +72,7 @@ def compute(k: float, stokes_number: float) -> list[dict[str, Any]]:
                     "time_scale": tight[0],
                     "uncertainty": max(abs(tight[0] - loose[0]), 0.5 * abs(tight[0] - halved[0])),
                     "misfit": tight[1],
+                    "exponential": tight[1] < MISFIT,
                     "transverse": across,
                     "axial": along,
                     "ratio": tight[0] / (along if (name == "along" and kind == "translation")
@@ -112,6 +115,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             Column("time_scale", "tau", "of the fitted exponential", ".4g"),
             Column("uncertainty", "tau", "two tolerances; fit over 2 and over 3 times", ".0e"),
             Column("misfit", "", "root mean square of the fit over its amplitude", ".1e"),
+            Column("exponential", "", f"misfit below {MISFIT:g}"),
             Column("transverse", "tau", "St inertia/R across the axis", ".4g"),
             Column("axial", "tau", "St inertia/R along the axis", ".4g"),
             Column("ratio", "", "fitted over that of the starting orientation", ".4f"),
@@ -126,34 +130,42 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     from qbxstokes.plots import style
 
     table = made["acceleration"]
-    figure = style.new_figure(style.PAGE, 2.8)
-    panels = figure.subplots(1, 2)
+    figure = style.new_figure(style.PAGE, 4.8)
+    panels = figure.subplots(2, 2, sharex=True)
     ratios = sorted(set(table["aspect_ratio"].tolist()))
-    for panel, motion in zip(panels, ("translation", "rotation"), strict=True):
+    looks = {"rolling": "o", "along": "s", "oblique": "^"}
+    for column, motion in enumerate(("translation", "rotation")):
         for index, k in enumerate(ratios):
             color = style.LINES[index][0]
-            for orientation, marker in (("rolling", "o"), ("along", "s"), ("oblique", "^")):
+            for orientation, marker in looks.items():
                 chosen = (
                     (table["aspect_ratio"] == k)
                     & (table["motion"] == motion)
                     & (table["orientation"] == orientation)
                 )
-                panel.plot(
-                    table["stokes_number"][chosen],
-                    table["ratio"][chosen],
-                    marker,
-                    color=color,
-                    markerfacecolor="white" if marker != "o" else color,
-                    label=f"$k={k:g}$" if marker == "o" else None,
-                )
-        panel.axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
-        panel.set_xscale("log")
-        panel.set_title(motion, loc="left")
-        panel.set_xlabel(r"Stokes number $\mathrm{St}$")
-    panels[0].set_ylabel(r"fitted time$\,/\,(\mathrm{St}\,$inertia$\,/R)$")
-    for orientation, marker in (("rolling", "o"), ("along", "s"), ("oblique", "^")):
-        panels[0].plot([], [], marker, color=style.BLACK, label=orientation,
-                       markerfacecolor="white" if marker != "o" else style.BLACK)  # fmt: skip
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
-    style.letter_panels(list(panels))
+                fitted = table["exponential"][chosen].astype(bool)
+                look = {
+                    "color": color,
+                    "markerfacecolor": color if marker == "o" else "white",
+                    "label": f"$k={k:g}$" if marker == "o" else None,
+                }
+                x = table["stokes_number"][chosen][fitted]
+                panels[0, column].plot(x, table["time_scale"][chosen][fitted], marker, **look)
+                panels[1, column].plot(x, table["ratio"][chosen][fitted], marker, **look)
+                if orientation == "rolling":
+                    kind = "axial" if motion == "rotation" else "transverse"
+                    panels[0, column].plot(table["stokes_number"][chosen], table[kind][chosen],
+                                           color=color, linewidth=0.7, zorder=0)  # fmt: skip
+        panels[0, column].set_xscale("log")
+        panels[0, column].set_yscale("log")
+        panels[0, column].set_title(motion, loc="left")
+        panels[1, column].axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
+        panels[1, column].set_xlabel(r"Stokes number $\mathrm{St}$")
+    panels[0, 0].set_ylabel(style.label("fitted time", "tau"))
+    panels[1, 0].set_ylabel(r"fitted time$\,/\,(\mathrm{St}\,$inertia$\,/R)$")
+    for orientation, marker in looks.items():
+        panels[0, 0].plot([], [], marker, color=style.BLACK, label=orientation,
+                          markerfacecolor="white" if marker != "o" else style.BLACK)  # fmt: skip
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside right center")
+    style.letter_panels(list(panels.ravel()))
     return {"acceleration": figure}

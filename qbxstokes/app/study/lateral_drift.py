@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.app.study import simulate
 from qbxstokes.app.study.linear_shear import fill
+from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.motion.equations import Inertia
 from qbxstokes.reference import heavy, lamb
@@ -16,7 +17,7 @@ from qbxstokes.reference.inertial import volume
 
 Array = NDArray[np.float64]
 
-HALF_TURNS = 8
+HALF_TURNS = 4
 FAR = 16.0  # distance from the axis at which the curvature is weak
 # A drift below this part of K is rounding.
 ZERO = 1e-11
@@ -89,6 +90,7 @@ def _tumbling(
     rows = []
     for i, st in enumerate(stokes_numbers):
         drift = float(found.values["velocity_2"][i]) / curvature
+        rate = float(found.values["position_2"][i]) / distance
         rows.append(
             {
                 "table": "lateral_drift",
@@ -99,7 +101,8 @@ def _tumbling(
                 "curvature": curvature,
                 "drift": drift,
                 "uncertainty": float(found.errors["velocity_2"][i]) / curvature,
-                "theory": heavy.drift(k, st, parts),
+                "local_rate": rate,
+                "theory": heavy.drift(k, st * rate, parts),
                 "small": st * heavy.small_stokes_drift(k) if parts != "rotation" else 0.0,
                 "passed": abs(drift) < ZERO if parts == "rotation" or k == 1.0 else None,
             }
@@ -141,22 +144,23 @@ def _orbits(k: float, profile: str, constants: list[float]) -> list[dict[str, An
 
 
 def _local(k: float, distance: float, stokes: float) -> list[dict[str, Any]]:
-    """Rate of ln C near tumbling, in the paraboloid and in shear of the same local rate."""
+    """Rate of ln C near tumbling, in the paraboloid and in shear of the rate where the body is.
+
+    The torque in a quadratic flow is that of the gradient at the centre of the body: only the path
+    can make a difference.
+    """
     constant = 50.0 if k < 1.0 else 1e6
     relaxed = 10.0 * heavy.slowest_relaxation(k, stokes)
-    both = []
-    for flow, position in (
-        (_flow(distance), (0.0, distance, 0.0)),
-        (simulate.shear(), (0.0, 0.0, 0.0)),
-    ):
-        both.append(
-            simulate.measure(
-                k, flow, stokes, simulate.orbit_axes(k, constant), HALF_TURNS, position,
-                relaxed=relaxed,
-            )
-        )  # fmt: skip
-    rates = [float(found.values["orbit_drift"][0]) for found in both]
-    errors = [float(found.errors["orbit_drift"][0]) for found in both]
+    axis = simulate.orbit_axes(k, constant)
+
+    def rate(flow: PolynomialFlow, position: tuple[float, float, float]) -> simulate.Measured:
+        return simulate.measure(k, flow, stokes, axis, HALF_TURNS, position, relaxed=relaxed)
+
+    curved = rate(_flow(distance), (0.0, distance, 0.0))
+    local = float(curved.values["position_2"][0]) / distance
+    straight = rate(simulate.polynomial(type="shear", rate=local), (0.0, 0.0, 0.0))
+    rates = [float(found.values["orbit_drift"][0]) for found in (curved, straight)]
+    errors = [float(found.errors["orbit_drift"][0]) for found in (curved, straight)]
     return [
         {
             "table": "local_orbit_drift",
@@ -164,11 +168,13 @@ def _local(k: float, distance: float, stokes: float) -> list[dict[str, Any]]:
             "stokes_number": stokes,
             "orbit": "tumbling",
             "distance": distance,
+            "local_rate": local,
             "rate": rates[0],
             "uncertainty": errors[0],
             "shear_rate": rates[1],
             "difference": rates[0] / rates[1] - 1.0,
-            "scaled": (rates[0] / rates[1] - 1.0) * distance**2,
+            "difference_uncertainty": sum(errors) / abs(rates[1]),
+            "from_start": rates[0] / -heavy.tumbling_exponent(k, stokes) - 1.0,
         }
     ]
 
@@ -191,7 +197,8 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             Column("curvature", "1/(c tau)", "K = 1/(2 distance)", ".4g", "K"),
             Column("drift", unit, "mean velocity across the stream over K", ".5e"),
             Column("uncertainty", unit, "two tolerances, two windows", ".0e"),
-            Column("theory", unit, "periodic solution for weak curvature", ".5e"),
+            Column("local_rate", "1/tau", "mean shear rate on the way, 1 at the start", ".4f"),
+            Column("theory", unit, "weak curvature, shear of the local rate", ".5e"),
             Column("small", unit, "limit of small St", ".3e"),
             Column("passed", "", "zero where it has to be"),
         ),
@@ -223,11 +230,13 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             _ST,
             Column("orbit", "", "near which it is measured"),
             Column("distance", "c", "from the axis of the flow", "g"),
+            Column("local_rate", "1/tau", "mean shear rate on the way, 1 at the start", ".5f"),
             Column("rate", "1/tau", "d(ln C)/dt in the paraboloid", ".6e"),
             Column("uncertainty", "1/tau", "two tolerances, two windows", ".0e"),
-            Column("shear_rate", "1/tau", "the same in linear shear", ".6e", "in shear"),
-            Column("difference", "", "relative", ".2e"),
-            Column("scaled", "c^2", "difference times distance squared", ".3f"),
+            Column("shear_rate", "1/tau", "the same in shear of the local rate", ".6e", "in shear"),
+            Column("difference", "", "relative", ".1e"),
+            Column("difference_uncertainty", "", "of both rates", ".0e"),
+            Column("from_start", "", "difference from shear of the starting rate", ".1e"),
         ),
         plot={"x": "distance", "y": "difference", "by": "aspect_ratio", "scale": "semilogx"},
     )
@@ -245,10 +254,13 @@ def _maxima(drift: Table) -> Table:
             Column("stokes_number", "", "St of the maximum", ".4g", "St"),
             Column("lag", "", "St Theta/R (mean of R) there, times the shear rate", ".3f"),
             Column("drift", "K c^2", "the maximum, from the periodic solution", ".5e"),
+            Column("measured_at", "", "St of the largest of the runs", ".4g"),
             Column("measured", "K c^2", "largest of the runs", ".5e"),
             Column("uncertainty", "K c^2", "of the largest of the runs", ".0e"),
             Column("light", "K c^2", "drift/St for St to 0", ".4e"),
             Column("heavy", "K c^2", "drift times St for St to infinity", ".4e"),
+            Column("light_exponent", "", "of St, between the two lightest runs", ".3f"),
+            Column("heavy_exponent", "", "of St, between the two heaviest runs", ".3f"),
             Column("rotation_share", "", "rotational inertia: drift over that without - 1", ".3f"),
         ),
         plot={"x": "aspect_ratio", "y": "drift", "scale": "loglog"},
@@ -262,16 +274,21 @@ def _maxima(drift: Table) -> Table:
         stokes, top = maximum(k)
         best = int(np.argmax(drift["drift"][chosen]))
         across, along = heavy.relaxation_rates(k)[:2]
-        far = 1e4 * stokes
+        order = np.argsort(drift["stokes_number"][chosen])
+        logs = [np.log(drift[n][chosen][order]) for n in ("stokes_number", "drift")]
+        exponents = np.diff(logs[1]) / np.diff(logs[0])
         made.add(
             aspect_ratio=k,
             stokes_number=stokes,
             lag=stokes / (0.5 * (across + along)),
             drift=top,
+            measured_at=float(drift["stokes_number"][chosen][best]),
             measured=float(drift["drift"][chosen][best]),
             uncertainty=float(drift["uncertainty"][chosen][best]),
             light=heavy.small_stokes_drift(k),
-            heavy=far * heavy.drift(k, far),
+            heavy=heavy.large_stokes_drift(k),
+            light_exponent=float(exponents[0]),
+            heavy_exponent=float(exponents[-1]),
             rotation_share=top / heavy.drift(k, stokes, "translation") - 1.0,
         )
     return made
@@ -315,44 +332,40 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_yscale("log")
     panels[0].set_xlabel(r"Stokes number $\mathrm{St}$")
     panels[0].set_ylabel(r"drift$\,/\,K c^2$")
-    for index, k in enumerate(k for k in (0.5, 2.0) if k in ratios):
-        color = style.LINES[(0, 6)[index]][0]
+    for k in ratios[:1] + ratios[-1:]:
+        color, _, marker = style.LINES[ratios.index(k) % 7]
         dashes: dict[Inertia, Any] = {"both": "solid", "translation": (0, (4, 1.5))}
         for parts, look in dashes.items():
             chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == parts)
             order = np.argsort(drift["stokes_number"][chosen])
-            x = drift["stokes_number"][chosen][order]
-            lag = x / heavy.relaxation_rates(k)[0]
-            limit = np.array([s * heavy.small_stokes_drift(k) for s in x])
-            fine = np.geomspace(lag[0], lag[-1], 60) * heavy.relaxation_rates(k)[0]
-            exact = [heavy.drift(k, float(s), parts) for s in fine]
-            slope = heavy.small_stokes_drift(k)
-            panels[1].plot(fine / heavy.relaxation_rates(k)[0], exact / (fine * slope),
-                           color=color, linestyle=look,
+            x, y = (drift[name][chosen][order] for name in ("stokes_number", "drift"))
+            slope, scale = heavy.small_stokes_drift(k), heavy.relaxation_rates(k)[0]
+            fine = np.geomspace(x[0], x[-1], 60)
+            exact = np.array([heavy.drift(k, float(s), parts) for s in fine])
+            panels[1].plot(fine / scale, exact / (fine * slope), color=color, linestyle=look,
                            label=f"$k={k:g}$, {parts}")  # fmt: skip
-            panels[1].plot(lag, drift["drift"][chosen][order] / limit, "o", color=color,
+            panels[1].plot(x / scale, y / (x * slope), marker, color=color,
                            markerfacecolor="white")  # fmt: skip
     panels[1].set_xscale("log")
-    panels[1].set_xlim(0.01, 30.0)
+    panels[1].set_yscale("log")
     panels[1].set_xlabel(r"$\mathrm{St}\,\Theta/R_1$")
     panels[1].set_ylabel(r"drift$\,/\,$its limit of small $\mathrm{St}$")
-    panels[1].legend(loc="upper right", title="inertia")
+    panels[1].legend(loc="lower left", title="inertia")
     index = 0
     for k in (0.5, 2.0):
         rest = (drift["aspect_ratio"] == k) & (drift["inertia"] == "both")
         for stokes in (10.0, 100.0) if k < 1.0 else (1.0, 10.0):
             chosen = rest & (np.abs(drift["stokes_number"] / stokes - 1.0) < 1e-6)
             order = np.argsort(drift["distance"][chosen])
-            panels[2].plot(
-                drift["distance"][chosen][order],
-                (drift["drift"][chosen] / drift["theory"][chosen])[order],
-                label=f"$k={k:g}$, $\\mathrm{{St}}={stokes:g}$",
-                **style.line_style(index, markers=True),
-            )
+            places, values = (drift[n][chosen][order] for n in ("distance", "drift"))
+            look = style.line_style(index, markers=True)
+            panels[2].plot(places, values / heavy.drift(k, stokes), **look,
+                           label=f"$k={k:g}$, $\\mathrm{{St}}={stokes:g}$")  # fmt: skip
+            look |= {"markerfacecolor": look["color"], "linestyle": "none"}
+            panels[2].plot(places, values / drift["theory"][chosen][order], **look)
             index += 1
     panels[2].axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
-    panels[2].set_xscale("log", base=2)
-    panels[2].set_xlabel(style.label("distance from the axis of the flow", "c"))
+    _doubling(panels[2])
     panels[2].set_ylabel(r"drift$\,/\,$weak curvature")
     panels[2].legend()
     index = 0
@@ -379,11 +392,23 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     axes = second.add_subplot()
     for index, k in enumerate(sorted(set(local["aspect_ratio"].tolist()))):
         chosen = local["aspect_ratio"] == k
-        axes.plot(local["distance"][chosen], np.abs(local["difference"][chosen]),
-                  label=f"$k={k:g}$", **style.line_style(index, markers=True))  # fmt: skip
-    axes.set_xscale("log", base=2)
+        look = style.line_style(index, markers=True)
+        axes.plot(local["distance"][chosen], np.abs(local["from_start"][chosen]), **look,
+                  label=f"$k={k:g}$, starting rate")  # fmt: skip
+        look |= {"markerfacecolor": look["color"]}
+        axes.plot(local["distance"][chosen], np.abs(local["difference"][chosen]), **look,
+                  label=f"$k={k:g}$, local rate")  # fmt: skip
     axes.set_yscale("log")
-    axes.set_xlabel(style.label("distance from the axis of the flow", "c"))
-    axes.set_ylabel("relative difference of drifts")
+    _doubling(axes)
+    axes.set_ylabel("relative difference from shear")
     axes.legend()
     return {"lateral_drift": figure, "local_orbit_drift": second}
+
+
+def _doubling(axes: Any) -> None:
+    """Distances from the axis on a logarithmic scale, as plain numbers."""
+    places = (1, 2, 4, 8, 16, 32)
+    axes.set_xscale("log")
+    axes.set_xticks(places, [str(place) for place in places])
+    axes.minorticks_off()
+    axes.set_xlabel("distance from the axis of the flow ($c$)")

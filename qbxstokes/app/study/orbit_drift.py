@@ -11,7 +11,7 @@ from qbxstokes.app.study.linear_shear import fill
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.reference import heavy, jeffery
 
-HALF_TURNS = 8
+HALF_TURNS = 4
 # Tilts from rolling and from the plane of shear that count as small: at the start of runs that
 # leave, and of runs that arrive.
 LEAVING, ARRIVING = 1e-6, 0.02

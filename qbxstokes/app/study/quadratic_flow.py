@@ -207,8 +207,9 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     pairs = sorted(
         set(zip(sample["aspect_ratio"].tolist(), sample["stokes_number"].tolist(), strict=True))
     )
-    figure = style.new_figure(style.PAGE, 7.6)
-    panels = figure.subplots(6, len(pairs), squeeze=False, sharex="col")
+    figure = style.new_figure(style.PAGE, 8.2)
+    panels = figure.subplots(7, len(pairs), squeeze=False, sharex="col")
+    turns = "turns of the axis\n$\\varphi/2\\pi$"
     for column, (k, stokes) in enumerate(pairs):
         chosen = (sample["aspect_ratio"] == k) & (sample["stokes_number"] == stokes)
         t = sample["time"][chosen]
@@ -216,11 +217,12 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         groups: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ("across the stream\n$x_i-x_i(0)$", (("x2", "$x_2$"), ("x3", "$x_3$"))),
             ("velocity $V_1$", (("v1", "$V_1$"),)),
-            ("velocity $V_2,V_3$", (("v2", "$V_2$"), ("v3", "$V_3$"))),
+            ("$V_2,V_3$", (("v2", "$V_2$"), ("v3", "$V_3$"))),
             ("axis $D^3$", (("d1", "$D^3_1$"), ("d2", "$D^3_2$"), ("d3", "$D^3_3$"))),
-            ("angles$\\,/\\,\\pi$", (("phi", r"$\varphi$"), ("theta", r"$\theta$"))),
+            ("angle $\\theta$ (rad)", (("theta", r"$\theta$"),)),
+            (turns, (("phi", r"$\varphi$"),)),
             (
-                r"$\Omega$",
+                r"$\mathbf{\Omega}$",
                 (("omega1", r"$\Omega_1$"), ("omega2", r"$\Omega_2$"), ("omega3", r"$\Omega_3$")),
             ),
         )
@@ -228,7 +230,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
             for index, (name, text) in enumerate(curves):
                 values = sample[name][chosen]
                 values = values - values[0] if name[0] == "x" else values
-                values = values / np.pi if name in ("phi", "theta") else values
+                values = values / (2.0 * np.pi) if name == "phi" else values
                 color = style.LINES[index][0]
                 axes.plot(t, values, color=color, linewidth=0.6, label=text)
             if len(curves) > 1:
@@ -237,6 +239,9 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
                     line.set_linewidth(1.5)
             if column == 0:
                 axes.set_ylabel(label)
+        # The first push across the stream is a hundred times the drift that follows.
+        row[2].set_yscale("symlog", linthresh=1e-3)
+        row[2].set_yticks([-1e-2, -1e-3, 0.0, 1e-3, 1e-2])
         row[0].set_title(f"$k={k:g}$, $\\mathrm{{St}}={stokes:g}$", loc="left")
         row[-1].set_xlabel(style.label("time $t$", "tau"))
     figure.align_ylabels(panels[:, 0])

@@ -12,7 +12,7 @@ from qbxstokes.app.study.linear_shear import fill
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.reference import heavy
 
-HALF_TURNS = 8
+HALF_TURNS = 4
 
 
 def blocks(full: bool) -> list[dict[str, Any]]:
@@ -91,11 +91,14 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             Column("theory", "", "St from the periodic solution", ".4g"),
             Column("lag", "", "St J/R at the transition", ".4f", "St J/R"),
             Column("light", "", "(rate/Jeffery's - 1)/(St J/R)^2 of the lightest", ".4f"),
+            Column("light_limit", "", "s (1 - s), s = 2k/(1+k^2)", ".4f"),
             Column("heavy", "", "(1/2 - rate) (St J/R)^2/lambda^2 of the heaviest", ".4f"),
         ),
         notes=[
-            "For light bodies the rate rises as St^2, for heavy ones it falls short of 1/2 by "
-            "(lambda R/(2 St J))^2: the last column tends to 1/4."
+            "For light bodies the rate rises as s (1 - s) (St J/R)^2, for heavy ones it falls "
+            "short of 1/2 by (lambda R/(2 St J))^2: the last column tends to 1/4. For very thin "
+            "bodies nothing turns below St J/R = 0.7026, the threshold of the pendulum whose "
+            "constant torque is just enough to turn it over."
         ],
         plot={"x": "aspect_ratio", "y": "transition", "scale": "loglog"},
     )
@@ -123,6 +126,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             theory=exact,
             lag=exact / heavy.relaxation_rates(k)[2],
             light=(rate[0] / free - 1.0) / lag[0] ** 2,
+            light_limit=heavy.light_rate_coefficient(k),
             heavy=(0.5 - rate[-1]) * lag[-1] ** 2 / heavy.shape(k) ** 2,
         )
     return [rates, summary]

@@ -36,6 +36,7 @@ from qbxstokes.io.tables import Table
 
 Block = tuple[str, dict[str, Any]]  # study, parameters
 _HEAD = "study.json"
+_RESOLUTION, _COLOURS = 200.0, 64  # of the pictures for the web: sharp, and below 150 kB
 _LONGEST = 120  # rows of a table that is printed as well as stored
 
 
@@ -256,7 +257,7 @@ def _draw(study: Any, tables: dict[str, Table], output: Path) -> list[str]:
     files = []
     with style.styled():
         for name, figure in study.figures(tables).items():
-            for kind in ("pdf", "svg"):
+            for kind in ("pdf", "png"):  # for papers, and for pages on the web
                 target = output.with_name(f"{output.stem}_{name}.{kind}")
-                files.append(str(style.save(figure, target)))
+                files.append(str(style.save(figure, target, _RESOLUTION, _COLOURS)))
     return files

@@ -134,7 +134,9 @@ class Measured:
     discarded: float
 
 
-_AVERAGES = ("rotation_rate", "velocity_1", "velocity_2", "velocity_3", "orbit_drift")
+_AVERAGES = (
+    "rotation_rate", "velocity_1", "velocity_2", "velocity_3", "orbit_drift", "position_2",
+)  # fmt: skip
 
 
 def measure(
@@ -149,8 +151,9 @@ def measure(
 ) -> Measured:
     """Averages over whole half-turns after the transient, by the rules above.
 
-    values: rotation_rate, velocity_1 to _3 (means), orbit_drift (rate of ln C). relaxed: time that
-    the transient takes, if it is not that of the slowest relaxation.
+    values: rotation_rate, velocity_1 to _3 (means), orbit_drift (rate of ln C), position_2 (mean
+    of the samples). relaxed: time that the transient takes, if it is not that of the slowest
+    relaxation.
     """
     stokes = np.broadcast_to(np.asarray(stokes_number, dtype=float), (len(axis),))
     gradient = flow.gradient(np.asarray(position, dtype=float))
@@ -171,7 +174,7 @@ def measure(
         found = turn_averages(run.times[window], late, k, frame)
         mean = {f"velocity_{i + 1}": found["mean_velocity"][:, i] for i in range(3)}
         found["rotation_rate"] = np.abs(found["rotation_rate"])
-        return found | mean
+        return found | mean | {"position_2": late["position"][..., 1].mean(axis=0)}
 
     loose = simulate(k, flow, stokes, axis, times, TOLERANCE * TOLERANCE_STEP, position, inertia)
     tight = simulate(k, flow, stokes, axis, times, TOLERANCE, position, inertia)
