@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -16,13 +17,14 @@ from qbxstokes.bie.providers import SolveMotion
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
-from qbxstokes.qbx.operator import GradedScheme, Scheme
+from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme
 from qbxstokes.reference import faxen
 
 Array = NDArray[np.float64]
 
 _N_THETA = 20
 _MAP_NODES = 14
+_SOURCES = 240  # polar nodes of the upsampled grid where the nodes of the density vary
 _PLACE = np.array([[0.3, 2.0, -0.5]])
 
 
@@ -129,16 +131,17 @@ def _relative(values: Array, exact: Array) -> Array:
 def _nodes(k: float, nodes: int) -> list[dict[str, Any]]:
     """Error of the density at its nodes and of the model, with quadrature that does not change."""
     flow = _scene()
-    fixed = 160  # nodes of the upsampled polar grid, the same for every number of nodes
-    radius = 0.5 * min(k * k, 1.0 / k)
+    radius = 0.95 * min(k * k, 1.0 / k)
     n_phi = 9
     monomials, coefficients = _exact_density(k)
     rows = []
     for name in ("uniform", "graded"):
         if name == "uniform":
-            scheme: Scheme = discretise.uniform(
-                k, nodes, 20, radius * nodes / (2.0 * np.pi), max(1, fixed // nodes)
-            )
+            # The same upsampled grid for every number of nodes, dense enough in azimuth as well.
+            upsampling = _SOURCES // nodes
+            around = max(8, 2 * math.ceil(0.5 * max(k, 1.0) * _SOURCES / upsampling))
+            ratio = radius * nodes / (2.0 * np.pi)
+            scheme: Scheme = UniformScheme(nodes, around, 18, ratio, upsampling, "average")
         else:
             scheme = GradedScheme(nodes, 26, 0.3, 18, 0.7)
         begin = time.perf_counter()
@@ -170,7 +173,7 @@ def _exact_density(k: float) -> tuple[Any, Array]:
         powers = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c < 4]
         return np.stack([x**a * y**b * z**c for a, b, c in powers], axis=-1)
 
-    scheme = GradedScheme(14, 18, 0.3, 22, 0.6)
+    scheme = GradedScheme(28, 32, 0.3, 22, 0.6)
     operators = surface_operators(Spheroid(k), scheme, 9)
     points = operators.grid.points
     density = operators.mobility.inverse.apply(-_scene().velocity(points + _PLACE[0]))
@@ -231,16 +234,17 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         "Convergence of the density with n_theta at fixed quadrature",
         (
             _K,
-            Column("scheme", "", "uniform: 160 polar source nodes, p = 20; graded: p = 26"),
+            Column("scheme", "", f"uniform: {_SOURCES} polar source nodes, p = 18; graded: p = 26"),
             Column("n_theta", "", "polar nodes of the density", "d"),
             Column("density_error", "", "largest at the nodes, relative", ".2e"),
             Column("motion_error", "", "of resistance and free motion", ".2e"),
             Column("time", "s", "wall time of the operators and a solve", ".3g"),
         ),
         notes=[
-            "The density of a polynomial flow is a polynomial, which few nodes hold. What is left "
-            "of the graded scheme's error is a rigid motion in the density, from the projection's "
-            "quadrature; no force, torque or velocity feels it."
+            "The density of this flow is a polynomial of degree 3, which four nodes hold. What "
+            "falls with the nodes of the graded scheme is a rigid motion in the density, from the "
+            "quadrature of the projections on rigid motions; no force, torque or velocity feels "
+            "it. The uniform scheme ends at the error of its quadrature and truncation."
         ],
         plot={"x": "n_theta", "y": "density_error", "by": ["aspect_ratio", "scheme"],
               "scale": "semilogy"},
@@ -304,7 +308,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     from qbxstokes.plots.table import figure_of
 
     each, nodes, parameters = (made[n] for n in ("orientations", "density_nodes", "qbx_map"))
-    first = style.new_figure(style.PAGE, 2.9)
+    first = style.new_figure(style.PAGE, 3.1)
     panels = first.subplots(1, 3)
     schemes = list(dict.fromkeys(each["scheme"].tolist()))
     for panel, k in zip(panels[:2], (0.5, 2.0), strict=True):
@@ -316,9 +320,13 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
             panel.plot(each["tilt"][chosen], each["angular_velocity_error"][chosen], marker,
                        color=color, markersize=2.5, markerfacecolor="none")  # fmt: skip
         panel.set_yscale("log")
+        panel.set_ylim(1e-17, 1e-2)
         panel.set_xlabel("tilt of the axis (deg)")
-        panel.set_ylabel("relative error")
         panel.set_title(f"$k={k:g}$", loc="left")
+    panels[0].set_ylabel("relative error")
+    for text, face in (("force, held", style.BLACK), ("angular velocity, free", "none")):
+        panels[0].plot([], [], "o", color=style.BLACK, markerfacecolor=face, markersize=2.5,
+                       label=text)  # fmt: skip
     index = 0
     for k in (0.5, 2.0):
         for scheme in ("uniform", "graded"):
@@ -331,7 +339,8 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[2].set_xlabel(r"$n_\vartheta$")
     panels[2].set_ylabel("error of the density")
     panels[2].legend(fontsize=7)
-    first.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncol=4)
+    first.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncol=6,
+                 handlelength=1.0)  # fmt: skip
     style.letter_panels(list(panels))
     valley = style.new_figure(style.PAGE, 2.7)
     panels = valley.subplots(1, 3, sharey=True)
@@ -339,7 +348,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
                                  strict=False):  # fmt: skip
         inside = (parameters["upsampling"] == upsampling) & np.isfinite(parameters["error"])
         ratios = sorted(set(parameters["r_over_h"][inside].tolist()))
-        for index, ratio in enumerate(ratios[:: max(1, len(ratios) // 3)][:4]):
+        for index, ratio in enumerate(ratios[:1] + ratios[max(1, len(ratios) - 3) :]):
             chosen = inside & (parameters["r_over_h"] == ratio)
             color = style.LINES[index][0]
             p = parameters["expansion_order"][chosen]
@@ -349,10 +358,13 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
             panel.plot(p, parameters["quadrature"][chosen], color=color,
                        linestyle=(0, (3, 1.5)))  # fmt: skip
         panel.set_yscale("log")
-        panel.set_ylim(1e-14, 10.0)
+        panel.set_ylim(1e-13, 10.0)
         panel.set_xlabel("expansion order $p$")
         panel.set_title(rf"$\kappa = {upsampling}$", loc="left")
     panels[0].set_ylabel("relative error")
+    for text, look in (("truncation", "solid"), ("quadrature", (0, (3, 1.5)))):
+        panels[0].plot([], [], color=style.BLACK, linestyle=look, label=text)
+    panels[0].plot([], [], "o", color=style.BLACK, markersize=3, label="total")
     valley.legend(*panels[0].get_legend_handles_labels(), title="$r/h$",
                   loc="outside right center")  # fmt: skip
     style.letter_panels(list(panels))
