@@ -52,6 +52,52 @@ def test_mean_rate_has_both_limits(k: float) -> None:
     assert short * heavy_lag**2 == pytest.approx(0.25 * heavy.shape(k) ** 2, rel=1e-3)
 
 
+@pytest.mark.parametrize("k", [0.1, 0.5, 2.0, 10.0])
+def test_closed_forms_are_the_limits_of_light_and_of_heavy_bodies(k: float) -> None:
+    rates = heavy.relaxation_rates(k)
+    lag = 1e-3 * min(k, 1.0 / k)
+    gain = heavy.mean_rotation_rate(k, lag * rates[2]) * (k + 1.0 / k) - 1.0
+    assert gain / lag**2 == pytest.approx(heavy.light_rate_coefficient(k), rel=1e-4)
+    stokes = 1e4 * rates[0]
+    assert stokes * heavy.drift(k, stokes) == pytest.approx(
+        heavy.large_stokes_drift(k), rel=1e-6
+    )  # fmt: skip
+
+
+def test_rate_depends_on_shape_through_the_square_of_lambda_and_on_st_through_the_lag() -> None:
+    for lag in (0.3, 1.0, 30.0, 3e3):  # the last one beyond the precision of a plain Newton step
+        rates = [
+            heavy.mean_rotation_rate(k, lag * heavy.relaxation_rates(k)[2]) for k in (0.2, 5.0)
+        ]
+        assert rates[0] == pytest.approx(rates[1], rel=1e-9)
+
+
+def test_thin_bodies_turn_above_the_threshold_of_the_pendulum() -> None:
+    """t'' + t' / lag = (cos t - 1)/lag turns over for lag > 0.70256: shooting along t = -2a."""
+    from scipy.integrate import solve_ivp
+
+    def gone(lag: float) -> float:
+        """Angle reached from rest along the stream, in half-turns."""
+        event = lambda x, p: p[0] - 1e-7  # noqa: E731
+        event.terminal = True  # type: ignore[attr-defined]
+        start = 0.01
+        run = solve_ivp(
+            lambda x, p: [(np.sin(x) ** 2 - p[0]) / (lag * p[0])],
+            (start, np.pi), [start**2 * (1.0 - 2.0 * lag * start)],
+            method="LSODA", rtol=1e-10, atol=1e-14, events=event,
+        )  # fmt: skip
+        return float(run.t[-1] / np.pi)
+
+    assert gone(0.702) < 1.0
+    assert gone(0.703) == 1.0
+    k = 0.05
+    below, above = (
+        heavy.mean_rotation_rate(k, lag * heavy.relaxation_rates(k)[2]) for lag in (0.5, 0.9)
+    )
+    assert below < 1.1 * k / (1.0 + k * k)
+    assert above > 4.0 * below
+
+
 @pytest.mark.parametrize("k", [0.2, 0.5, 2.0, 5.0])
 def test_small_stokes_numbers_drift_by_the_averaged_rate(k: float) -> None:
     stokes = 1e-3 * heavy.relaxation_rates(k)[2]
@@ -153,6 +199,7 @@ def test_measured_rates_are_those_of_the_theory_within_the_uncertainty() -> None
     drifts = [heavy.drift(k, st) / 64.0 for st in stokes]
     assert np.allclose(found.values["rotation_rate"], rates, rtol=1e-3)
     assert np.allclose(found.values["velocity_2"], drifts, rtol=2e-3)
+    assert (found.values["position_2"] > 32.0).all()
     assert (found.half_turns >= 4).all()
     assert (found.errors["velocity_2"] < 1e-2 * found.values["velocity_2"]).all()
 
@@ -163,6 +210,16 @@ def test_no_drift_of_spheres_and_without_inertia_of_translation(k: float, inerti
     axis = simulate.orbit_axes(k, 1.0)
     found = simulate.measure(k, flow, 5.0, axis, 2, (0.0, 4.0, 0.0), inertia)
     assert np.abs(found.values["velocity_2"]).max() < 1e-12
+
+
+def test_drift_near_the_axis_is_that_of_the_local_shear_rate() -> None:
+    """One length off the axis the body gains a fifth of its shear rate while it is watched."""
+    study = import_module(MAKERS["lateral_drift"])
+    (row,) = study.compute(k=2.0, stokes_numbers=[10.0], distance=1.0)
+    assert row["local_rate"] > 1.1
+    at_start = heavy.drift(2.0, 10.0)
+    assert row["drift"] == pytest.approx(row["theory"], rel=0.02)
+    assert abs(row["drift"] / at_start - 1.0) > 0.05
 
 
 # -- the machinery --------------------------------------------------------------------------------
@@ -203,6 +260,11 @@ def test_study_runs_resumes_and_draws(
     table = Table.read_csv(tmp_path / "out_acceleration.csv")
     rolling = table["orientation"] == "rolling"
     assert np.allclose(table["ratio"][rolling], 1.0, atol=1e-4)
+    assert (table["exponential"][rolling] == 1.0).all()
+    assert (table["exponential"] == (table["misfit"] < 0.01)).all()
+    picture = tmp_path / "out_acceleration.png"
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert picture.stat().st_size < 150_000
 
 
 def test_unfinished_study_is_kept_and_told(
