@@ -13,6 +13,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from qbxstokes.app.calls import run as run
+    from qbxstokes.app.calls import sweep as sweep
     from qbxstokes.app.interface import Body as Body
     from qbxstokes.app.interface import Motion as Motion
     from qbxstokes.app.interface import flow as flow
@@ -33,6 +35,8 @@ _PUBLIC = {
     "flow": "qbxstokes.app.interface",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.config.load",
+    "run": "qbxstokes.app.calls",
+    "sweep": "qbxstokes.app.calls",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -67,12 +67,12 @@ def test_tutorial_shows_its_cases_as_they_are():
 
 @pytest.mark.slow
 def test_python_of_the_readme(tmp_path):
-    """The Python section of the README runs as one script."""
+    """The examples of the README's Python section run, one after the other, as one script."""
     text = (ROOT / "README.md").read_text()
-    section = text[text.index("\n## Python\n") :]
-    kind, code = BLOCK.findall(section)[0]
-    assert kind == "python"
-    run([sys.executable, "-c", code], tmp_path)
+    section = text[text.index("\n## Python\n") :].split("\n## ")[1]
+    examples = BLOCK.findall(section)
+    assert [kind for kind, _ in examples] == ["python", "python"]
+    run([sys.executable, "-c", "".join(code for _, code in examples)], tmp_path)
 
 
 def test_key_table_of_the_readme_is_the_schema():

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.geometry import rotation
 from qbxstokes.reference import faxen, jeffery, lamb
 
 
-@pytest.mark.parametrize("module", ["qbxstokes", "qbxstokes.app.interface"])
+@pytest.mark.parametrize("module", ["qbxstokes", "qbxstokes.app.calls", "qbxstokes.app.interface"])
 def test_examples_run_as_written(module):
     result = doctest.testmod(importlib.import_module(module), raise_on_error=False)
     assert result.attempted > 3
@@ -95,3 +95,68 @@ def test_no_mpi_or_petsc_before_a_motion_is_integrated():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+CASE = {
+    "body": {"aspect_ratio": 0.5},
+    "flow": {"type": "shear"},
+    "start": {"orientation": {"axis": np.array([1.0, 0.0, 1.0])}},
+    "time": {"end": np.float64(2.0), "samples": 5},
+}
+
+
+def test_run_keeps_the_file_that_is_named_and_numbers_the_next(tmp_path):
+    first = qs.run(CASE, file=tmp_path / "orbit.h5")
+    second = qs.run(CASE, file=tmp_path / "orbit.h5")
+    assert first.path == tmp_path / "orbit.h5"
+    assert second.path == tmp_path / "orbit-1.h5"
+    assert np.array_equal(first.axis, second.axis)
+    # Without a name the files are apart from each other and from the working directory.
+    unnamed = [qs.run(CASE), qs.run(CASE)]
+    assert unnamed[0].path != unnamed[1].path
+    assert not list(tmp_path.glob("case*"))
+
+
+def test_run_agrees_with_the_command_line(tmp_path, run_cli):
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        "body: {aspect_ratio: 0.5}\nflow: {type: shear}\n"
+        "start: {orientation: {axis: [1, 0, 1]}}\ntime: {end: 2, samples: 5}\n"
+    )
+    assert run_cli("case.yaml").returncode == 0
+    by_command = qs.load(tmp_path / "case.h5")
+    for given in (path, CASE):
+        assert np.array_equal(qs.run(given).orientation, by_command.orientation)
+
+
+def test_errors_name_the_key_and_limits_raise():
+    wrong = {**CASE, "body": {"aspect_ratio": -1}}
+    with pytest.raises(CaseError, match=r"^case: body.aspect_ratio: is -1; must be > 0"):
+        qs.run(wrong)
+    with pytest.raises(
+        CaseError, match=r"^case: body.aspect: unknown key; did you mean aspect_ratio"
+    ):
+        qs.sweep(CASE, {"body.aspect": [1.0]})
+    with pytest.raises(ConvergenceError, match="exceeds a limit"):
+        qs.run({**CASE, "compare": {"tolerance": 1e-30}})
+
+
+def test_petsc_options_of_a_case_end_with_it():
+    steps = [
+        qs.run(case).summary["integration"]["method"]
+        for case in ({**CASE, "petsc": {"ts_rk_type": "5dp"}}, CASE)
+    ]
+    assert steps[0] == "5dp"
+    assert steps[1] != "5dp"
+
+
+def test_a_sweep_from_a_file_and_over_two_axes(tmp_path, monkeypatch):
+    path = tmp_path / "case.yaml"
+    path.write_text("body: {aspect_ratio: 0.5}\nflow: {type: shear}\ntime: {end: 1, samples: 3}\n")
+    k, st = np.array([0.5, 2.0]), np.array([1.0, 5.0, 20.0])
+    axes = {"body.aspect_ratio": k, "body.stokes_number": st}
+    result = qs.sweep(path, axes, store="summary", file=tmp_path / "all.h5")
+    assert result.shape == (2, 3)
+    assert np.all(result.table["status"] == 1)
+    assert np.array_equal(result.table["aspect_ratio"].reshape(2, 3)[:, 0], k)
+    assert "axis" not in result.arrays

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.parallel import guarded, on_root, world
 from qbxstokes.errors import ConvergenceError
+
+if TYPE_CHECKING:
+    from qbxstokes.config.load import LoadedCase
 
 
 def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:
@@ -19,23 +22,35 @@ def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> i
     clock = Clock()
     with clock.part("start MPI"):
         comm = world()
-    return guarded(comm, lambda: _run(comm, path, options, petsc, clock))
+
+    def read() -> LoadedCase:
+        from qbxstokes.config.load import load_case
+
+        return load_case(path, options.set)
+
+    return guarded(comm, lambda: compute_case(comm, path, read, options, petsc, clock))
 
 
-def _run(
-    comm: Any, path: Path, options: argparse.Namespace, petsc: Sequence[str], clock: Clock
+def compute_case(
+    comm: Any,
+    path: Path,
+    read: Callable[[], LoadedCase],
+    options: argparse.Namespace,
+    petsc: Sequence[str],
+    clock: Clock,
 ) -> int:
+    """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
         from qbxstokes.app.summary import explain, plan_facts, summary_text
         from qbxstokes.app.tasks import plan_of
-        from qbxstokes.config.load import from_document, load_case
+        from qbxstokes.config.load import from_document
 
-    def read() -> Any:
-        loaded = load_case(path, options.set)
+    def planned() -> Any:
+        loaded = read()
         return loaded.document, loaded.space, plan_of(loaded, options.overwrite)
 
     with clock.part("read and plan"):
-        document, space, plan = on_root(comm, read)
+        document, space, plan = on_root(comm, planned)
         loaded = from_document(document, path, space)
     if loaded.case.task == "field":
         from qbxstokes.app.field_run import run_field_case

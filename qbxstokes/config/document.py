@@ -61,13 +61,14 @@ class _Node:
 
 @dataclass
 class Document:
-    """The data of one case file and where each key of it stands."""
+    """The data of one case and where each key of it stands; `is_file` if in a file with lines."""
 
     name: str
     text: str
     data: dict[str, Any]
     lines: dict[Key, int]
     overrides: dict[Key, str] = field(default_factory=dict)
+    is_file: bool = True
 
     def where(self, key: Key) -> str:
         """`file:line`, or the override that set the key."""
@@ -75,7 +76,8 @@ class Document:
             made_here = key not in self.lines and changed[: len(key)] == key
             if made_here or key[: len(changed)] == changed:
                 return f"--set {printable(assignment)}"
-        return f"{printable(self.name, 400)}:{self.line(key)}"
+        name = printable(self.name, 400)
+        return f"{name}:{self.line(key)}" if self.is_file else name
 
     def line(self, key: Key) -> int:
         """Line of `key`, or of the closest section around it that is in the file."""

@@ -65,6 +65,11 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
     document = parse(read_text(path), str(path))
     for assignment in overrides:
         document.override(assignment)
+    return checked(document, path)
+
+
+def checked(document: Document, path: Path) -> LoadedCase:
+    """The case of a document that has just been read, valid at every point of its sweep."""
     loaded = from_document(document, path)
     if loaded.space is not None:
         _check_points(loaded.document, loaded.space)

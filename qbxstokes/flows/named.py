@@ -67,7 +67,7 @@ class Shear(PolynomialFlow):
 
 
 class Extension(PolynomialFlow):
-    """Extension without rotation, along e1: u = rate (x1, -x2/2, -x3/2) of kind `uniaxial`,
+    """Extension without rotation: u = rate (x1, -x2/2, -x3/2) of kind `uniaxial`,
     rate (x1, x2, -2 x3) of kind `biaxial`, rate (x1, -x2, 0) of kind `planar`.
     """
 
