@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import qbxstokes as qs
 from qbxstokes.app.benchmark.accuracy import TOLERANCES, examine, model_error, random_sample
 from qbxstokes.app.benchmark.setup import skips
 from qbxstokes.bie.accuracy import (
@@ -21,10 +22,16 @@ from qbxstokes.bie.accuracy import (
     resolving_nodes,
 )
 from qbxstokes.bie.operators import modal_functional, surface_operators
-from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, SolveMotion
+from qbxstokes.bie.providers import (
+    AdaptiveGridMotion,
+    GridMotion,
+    MonitoredGridMotion,
+    SolveMotion,
+)
 from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.flows.named import Shear
 from qbxstokes.flows.singularities import Stokeslet
+from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import UniformScheme
@@ -184,6 +191,28 @@ def test_the_grid_follows_a_body_that_nears_a_singularity():
         assert np.linalg.norm(omega[i] - exact[1]) < 1e-9 * np.linalg.norm(exact[1])
 
 
+def test_the_grid_follows_a_body_that_nears_an_undeclared_singularity():
+    """A user's function: accurate as if it had told its singular point."""
+    functional = plain_body(Spheroid(0.5), choose_scheme(1e-10)).functional
+    flow = UserFlow(Stokeslet([1.0, 0.5, 0.2], [0.0, 0.0, 4.0]).velocity)
+    x = np.outer([0.0, 1.5, 2.5, 2.8], [0.0, 0.0, 1.0])
+    q = rotation.random_quaternions(4, np.random.default_rng(1))
+    n_theta, n_phi, _ = resolving_nodes(functional, lambda p: flow.velocity(p), 1e-11)
+    motion = MonitoredGridMotion(functional, flow, 1e-11, (n_theta, n_phi))
+    u, omega = motion.free_motion(0.0, x, q)
+    assert motion.finest[0] > 1.5 * n_theta
+    fixed = GridMotion(functional.on_grid(n_phi, n_theta), flow).free_motion(0.0, x, q)
+    for i in range(4):
+        exact = faxen.free_motion(0.5, rotation.matrix(q[i]), x[i], flow.velocity, 250)
+        for values, right in zip((u[i], omega[i]), exact, strict=True):
+            assert np.linalg.norm(values - right) < 1e-9 * np.linalg.norm(right)
+    assert np.linalg.norm(fixed[1][-1] - exact[1]) > 1e-7 * np.linalg.norm(exact[1])
+    again = motion.free_motion(0.0, x[:1], q[:1])
+    assert np.allclose(again[0], u[:1], rtol=1e-15, atol=0.0)
+    with pytest.raises(FlowError, match=r"at t = 3, body at \(0, 0, 2.99.*a singular point"):
+        motion.free_motion(3.0, np.array([[0.0, 0.0, 2.995]]), np.array([[1.0, 0.0, 0.0, 0.0]]))
+
+
 def test_solve_functional_and_table_agree():
     """Any Stokes flow that is not polynomial: solved at the step, or by the functional."""
     flow = Stokeslet([1.0, 0.5, 0.2], [1.0, 1.5, 1.0]) + Shear()
@@ -213,3 +242,29 @@ def test_the_estimate_of_the_uniform_scheme_sees_truncation_and_quadrature(order
     error = model_error(body)
     assert error > 1e-6
     assert 0.5 * error < body.model.error_estimate < 50 * error
+
+
+def test_a_motion_past_an_undeclared_singularity_is_that_past_a_declared_one(tmp_path):
+    """The body starts far from a stokeslet that it passes by; its user declares it, or does not."""
+    (tmp_path / "flow.py").write_text(
+        "import numpy as np\n"
+        "def flow(x):\n"
+        "    r = x - np.array([5.0, 2.0, 0.0])\n"
+        "    d = np.linalg.norm(r, axis=1, keepdims=True)\n"
+        "    u = (np.array([1.0, 0, 0]) / d + r * r[:, :1] / d**3) / (8 * np.pi)\n"
+        "    return u + np.array([1.0, 0, 0])\n"
+    )
+    flow = {"type": "user", "function": f"{tmp_path}/flow.py:flow"}
+    case = {
+        "body": {"aspect_ratio": 0.5},
+        "flow": flow,
+        "start": {"orientation": {"axis": [1, 1, 0]}},
+        "time": {"end": 6, "samples": 7, "tolerance": 1e-8},
+        "hydrodynamics": {"tolerance": 1e-8},
+    }
+    hidden = qs.run(case)
+    told = qs.run({**case, "flow": {**flow, "singular_points": [5, 2, 0]}})
+    start, finest = (hidden.summary["hydrodynamics"][n] for n in ("flow_nodes", "finest_nodes"))
+    assert finest[0] > 1.5 * start[0]
+    assert np.abs(hidden.position - told.position).max() < 1e-8
+    assert np.abs(hidden.axis - told.axis).max() < 1e-8

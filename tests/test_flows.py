@@ -498,3 +498,21 @@ def test_stokeslets_near_bodies_of_any_size_pass_the_check_as_user_functions_too
         stokeslet = Stokeslet(rng.normal(size=3), place)
         assert check_stokesian(stokeslet, radius=2 * size).vorticity_of_laplacian < 1e-8
         check_stokesian(UserFlow(stokeslet.velocity, singular_points=place), radius=2 * size)
+
+
+def test_a_second_argument_is_the_time_unless_it_is_an_option_of_another_name():
+    def optional(x, strength=2.0):
+        return strength * np.stack([x[:, 1], 0 * x[:, 0], 0 * x[:, 0]], axis=1)
+
+    def at_time(x, t=0.0):
+        return optional(x, t)
+
+    def required(x, when):
+        return optional(x, when)
+
+    place = np.array([0.0, 1.0, 0.0])
+    assert UserFlow(optional).steady
+    assert UserFlow(optional).velocity(place, 5.0)[0] == 2.0
+    for function in (at_time, required):
+        assert not UserFlow(function).steady
+        assert UserFlow(function).velocity(place, 5.0)[0] == 5.0

@@ -151,16 +151,16 @@ class _Former:
         return solver
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
-        from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion
+        from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion
 
         if body.functional.grid.nodes != "cosine" or self._section.n_phi is not None:
             n_phi = self._section.n_phi or 2 * body.functional.grid.n_theta
             return GridMotion(body.functional.on_grid(n_phi), self._flow)
         n_theta, n_phi, error = self._nodes(body)
         facts |= {"flow_nodes": [n_theta, n_phi], "flow_error": error}
-        if not len(self._flow.singular_points):
-            return GridMotion(body.functional.on_grid(n_phi, n_theta), self._flow)
         share = _FLOW_SHARE * self._section.tolerance
+        if not len(self._flow.singular_points):
+            return MonitoredGridMotion(body.functional, self._flow, share, (n_theta, n_phi))
         motion = AdaptiveGridMotion(body.functional, self._flow, share)
         motion.calibrate(self._plan.position, self._plan.quaternion, n_theta)
         return motion

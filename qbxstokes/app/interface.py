@@ -31,7 +31,7 @@ from qbxstokes.bie.field import (
 )
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import surface_operators
-from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion
+from qbxstokes.bie.providers import AdaptiveGridMotion, MonitoredGridMotion
 from qbxstokes.errors import CaseError
 from qbxstokes.flows import Flow, build_flow
 from qbxstokes.geometry import rotation
@@ -220,13 +220,12 @@ class Body:
             provider = self._grid_motion(flow, np.asarray(near, dtype=np.float64))
         return RigidBodyEquations(self.model, provider, stokes_number, n_bodies, loads)
 
-    def _grid_motion(self, flow: Flow, place: Array) -> GridMotion | AdaptiveGridMotion:
-        """The functional on a grid that resolves the flow: at `place`, or wherever the body goes
-        where the flow's singular points tell how fine it must be."""
+    def _grid_motion(self, flow: Flow, place: Array) -> MonitoredGridMotion | AdaptiveGridMotion:
+        """The functional on grids that resolve the flow wherever the body goes, from `place` on."""
         functional, share = self.hydrodynamics.functional, 0.1 * self.tolerance
         n_theta, n_phi, _ = resolving_nodes(functional, lambda x: flow.velocity(place + x), share)
         if not len(flow.singular_points):
-            return GridMotion(functional.on_grid(n_phi, n_theta), flow)
+            return MonitoredGridMotion(functional, flow, share, (n_theta, n_phi))
         motion = AdaptiveGridMotion(functional, flow, share)
         motion.calibrate(place, np.array([1.0, 0.0, 0.0, 0.0]), n_theta)
         return motion

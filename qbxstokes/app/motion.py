@@ -175,6 +175,7 @@ def _facts(
 ) -> dict[str, Any]:
     """What the summary says of the computation itself."""
     case = loaded.case
+    finest = getattr(body.provider, "finest", None)
     return {
         "case": str(loaded.path),
         "title": case.title,
@@ -185,6 +186,7 @@ def _facts(
         "hydrodynamics": {
             **body.facts,
             **body.solves(),
+            **({"finest_nodes": list(finest)} if finest else {}),
             "error_estimate": body.model.error_estimate,
         },
         "cache_problems": body.problems,

@@ -207,7 +207,7 @@ def _work(case: Case, kind: str, degree: int | None) -> tuple[tuple[str, ...], t
     if kind != "every_step":
         skips.append("azimuthal modes above 1: they exert neither force nor torque")
     if kind == "grid":
-        needs.append("a grid as fine as the distance of the flow's singular points asks for")
+        needs.append("a grid as fine as the flow asks for wherever the body is")
     skips.append("azimuths and southern half of the body: rotational and mirror symmetry give them")
     if case.hydrodynamics.scheme == "graded" and case.hydrodynamics.expansion is None:
         skips.append("outer expansions: inner ones and the jump give the surface values")

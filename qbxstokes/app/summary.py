@@ -167,6 +167,11 @@ def _solved(summary: dict[str, Any]) -> Rows:
             f"{counted(hydro['iterations'], 'iteration')} in all, "
             f"true residual <= {error_text(hydro['true_residual'])}",
         )
+    if "finest_nodes" in hydro:
+        start, finest = (
+            " x ".join(map(str, hydro[name])) for name in ("flow_nodes", "finest_nodes")
+        )
+        yield "flow on the body", f"{start} points at the start, at most {finest}"
     if hydro["cache"] == "found":
         yield "", "body model from the cache (--no-cache forms it anew)"
     if hydro.get("error_parts"):

@@ -402,17 +402,27 @@ def flow_error(
         grid = functional.on_grid(azimuthal, polar)
         u = velocity(grid.points)
         motions.append(np.einsum("anj,nj->a", grid.weights, u))
-    speed = 0.01 * float(np.max(np.linalg.norm(u, axis=-1)))
-    spin = 0.01 * float(np.max(np.linalg.norm(u - u.mean(axis=0), axis=-1)))
-    spin /= max(1.0, functional.grid.spheroid.aspect_ratio)
-    error = 0.0
-    for part, least in ((slice(0, 3), speed), (slice(3, 6), spin)):
-        fine, coarse = motions[0][part], motions[1][part]
-        scale = max(float(np.linalg.norm(fine)), least)
-        if scale > 0.0:
-            error = max(error, float(np.linalg.norm(fine - coarse)) / scale)
     # The finer grid errs as well, by much less.
-    return 1.5 * error
+    k = functional.grid.spheroid.aspect_ratio
+    return 1.5 * float(motion_change(motions[0], motions[1], u, k))
+
+
+def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> Array:
+    """Relative difference (...) of two free motions (..., 6) in the flow u (..., N, 3), at points.
+
+    The larger one of U's and Omega's, with the scales of `flow_error`.
+    """
+    variation = u - u.mean(axis=-2, keepdims=True)
+    scales = (
+        0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
+        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / max(1.0, aspect_ratio),
+    )
+    error = np.zeros(fine.shape[:-1])
+    for part, least in zip((slice(0, 3), slice(3, 6)), scales, strict=True):
+        scale = np.maximum(np.linalg.norm(fine[..., part], axis=-1), least)
+        change = np.linalg.norm(fine[..., part] - coarse[..., part], axis=-1)
+        error = np.maximum(error, change / np.where(scale > 0.0, scale, 1.0))
+    return error
 
 
 def resolving_nodes(

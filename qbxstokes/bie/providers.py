@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import confocal_rate, flow_nodes
+from qbxstokes.bie.accuracy import MOST_NODES, confocal_rate, flow_nodes, motion_change
 from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
 from qbxstokes.errors import FlowError
@@ -42,10 +42,14 @@ class GridMotion:
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
         rotation = matrix(q)
+        _, motion = self.in_body(t, x, rotation)
+        return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+
+    def in_body(self, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
+        """Flow on the grid (n, N, 3) and free motion (n, 6), both in the body frame."""
         points = x[:, None, :] + self._points @ rotation.swapaxes(1, 2)
         velocity = self._flow.velocity(points, t) @ rotation
-        motion = np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
-        return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+        return velocity, np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
 
 
 class SingularFlow(BackgroundFlow, Protocol):
@@ -104,6 +108,65 @@ class AdaptiveGridMotion:
             chosen = [index for index, each in enumerate(needed) if each == level]
             u[chosen], omega[chosen] = self._levels[level].free_motion(t, x[chosen], q[chosen])
         return u, omega
+
+
+class MonitoredGridMotion:
+    """Free motion in a flow that tells nothing of its singular points, on grids that prove fine.
+
+    Every body and instant is computed on two grids, the coarser of two thirds of the nodes. The
+    error of a smooth flow falls geometrically with the nodes, so that the finer one errs by the
+    power 3/2 of what the coarser one does; where that exceeds the tolerance, both grow by a
+    quarter. Nothing is remembered from one call to the next but the grids: a motion that is resumed
+    is the same. Raises FlowError, with time and place, where MOST_NODES do not suffice.
+    """
+
+    def __init__(
+        self,
+        functional: ModalFunctional,
+        flow: BackgroundFlow,
+        tolerance: float,
+        start: tuple[int, int],
+    ) -> None:
+        """start: polar and azimuthal nodes of the finer grid to begin with."""
+        self._functional, self._flow = functional, flow
+        # A digit below the power of the tolerance: the rate is known up to a factor.
+        self._tolerance, self._least = tolerance, 0.1 * tolerance ** (2.0 / 3.0)
+        self._start = start
+        self._pairs: dict[tuple[int, int], tuple[GridMotion, GridMotion]] = {}
+        self.finest = start
+
+    def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
+        k = self._functional.grid.spheroid.aspect_ratio
+        rotation, motion = matrix(q), np.empty((len(x), 6))
+        waiting, level = np.arange(len(x)), self._start
+        while True:
+            coarse, fine = self._pair(level)
+            places, turns = x[waiting], rotation[waiting]
+            flow, motion[waiting] = fine.in_body(t, places, turns)
+            _, rough = coarse.in_body(t, places, turns)
+            change = motion_change(motion[waiting], rough, flow, k)
+            self.finest = max(self.finest, level)
+            waiting = waiting[~(change <= self._least)]
+            if not len(waiting):
+                return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+            if level[0] >= MOST_NODES:
+                where = ", ".join(f"{value:.6g}" for value in x[waiting[0]])
+                raise FlowError(
+                    f"at t = {t:.6g}, body at ({where}): the flow varies too much over the body: "
+                    f"the free motion still changes by {np.max(change):.1e} between grids of up to "
+                    f"{level[0]} x {level[1]} points; a singular point must be very near"
+                )
+            level = (min(_step(level[0] + 1), MOST_NODES), _step(level[1] + 1))
+
+    def _pair(self, level: tuple[int, int]) -> tuple[GridMotion, GridMotion]:
+        """The grid of these nodes and the one of two thirds of them, coarser first."""
+        if level not in self._pairs:
+            polar, azimuthal = (max(4, 2 * nodes // 3) for nodes in level)
+            coarse = self._functional.on_grid(azimuthal, polar)
+            fine = self._functional.on_grid(level[1], level[0])
+            self._pairs[level] = GridMotion(coarse, self._flow), GridMotion(fine, self._flow)
+        return self._pairs[level]
 
 
 def _step(nodes: float) -> int:

@@ -51,17 +51,23 @@ class UserFlow(Flow):
         else:
             shape = (len(np.atleast_2d(singular_points)), 3)
             self._singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
-        self._takes_time = self._positional_arguments() > 1
+        self._takes_time = self._has_time()
 
-    def _positional_arguments(self) -> int:
+    def _has_time(self) -> bool:
+        """Whether a second argument is the time: called t or time, or one without a default."""
         try:
             parameters = inspect.signature(self.function).parameters.values()
         except (TypeError, ValueError):
-            return 1
-        return sum(
-            parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
-            and parameter.name not in self.parameters
+            return False
+        positional = [
+            parameter
             for parameter in parameters
+            if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
+            and parameter.name not in self.parameters
+        ]
+        return any(
+            parameter.name in ("t", "time") or parameter.default is parameter.empty
+            for parameter in positional[1:2]
         )
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
