@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -34,7 +35,10 @@ def made(tmp_path: Path) -> h5py.File:
     """A result of three instants with a growing number of points inside."""
     file = h5py.File(tmp_path / "result.h5", "w")
     sets = {"plane": (5, 4), "box": (3, 3, 2), "points": (3,)}
-    group = store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
+    places = store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
+    file.flush()
+    sizes = {name: int(np.prod(shape)) for name, shape in sets.items()}
+    rows, group = store.FieldRows(tmp_path / "result.h5", places, sizes), file["field"]
     rng = np.random.default_rng(0)
     for step in range(3):
         for name, shape in sets.items():
@@ -46,7 +50,8 @@ def made(tmp_path: Path) -> h5py.File:
                 "inside": np.arange(n) < step,
                 "source": np.zeros(n),
             }
-            store.put(group, name, step, 0, block)
+            rows.put(name, step, 0, block)
+    rows.close()
     store.put_arrays(group, "streamlines", {"points": rng.normal(size=(3, 4, 7, 3))}, {})
     surface = {"points": rng.normal(size=(3, 20, 3)), "traction": rng.normal(size=(3, 20, 3))}
     store.put_arrays(group, "surface", surface, {"shape": np.array([4, 5])})
@@ -121,30 +126,53 @@ def test_field_from_the_command_line(write_case, run_cli, tmp_path):
     assert (tmp_path / "case.vtkhdf").exists()
 
 
+MOTION = {
+    "body": {"aspect_ratio": 0.5, "stokes_number": 5},
+    "flow": {"type": "shear"},
+    "time": {"end": 2.0, "samples": 5},
+    "field": {
+        "shells": {"distances": [0.0], "shape": [5, 6]},
+        "at": [0, 1.5],
+        "tracers": {"points": [[1.0, 0.2, 0], [0, 0, 0]], "samples": 3},
+    },
+}
+
+
+def field_bytes(path: Path) -> dict[str, bytes]:
+    """Every dataset of the field."""
+    found = {}
+    with h5py.File(path) as file:
+
+        def note(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                found[name] = item[()].tobytes()
+
+        file["field"].visititems(note)
+    return found
+
+
 @pytest.mark.mpi
-def test_ranks_give_the_same_field(write_case, run_cli, mpirun, tmp_path):
-    case = write_case(CASE)
-    assert run_cli(case, "--quiet", "--set", "output.file=one.h5").returncode == 0
-    done = mpirun(2, case, "--quiet", "--set", "output.file=two.h5")
-    assert done.returncode == 0, done.stderr
-    one, two = (load(tmp_path / f"{name}.h5").groups["field"] for name in ("one", "two"))
-    for name in ("plane", "box", "shells"):
-        for quantity in ("points", "velocity", "pressure", "stress", "source"):
-            assert np.array_equal(one[name][quantity], two[name][quantity], equal_nan=True)
+@pytest.mark.parametrize(
+    "case", [CASE | {"field": CASE["field"] | {"check": 12}}, MOTION], ids=["field", "motion"]
+)
+def test_ranks_give_the_same_field(case, write_case, run_cli, mpirun, tmp_path):
+    path = write_case(case)
+    summaries = []
+    for ranks in (1, 3):
+        options = ("--json", "--set", f"output.file={ranks}.h5")
+        done = mpirun(ranks, path, *options) if ranks > 1 else run_cli(path, *options)
+        assert done.returncode == 0, done.stderr
+        summary = json.loads(done.stdout)
+        summaries.append(summary.get("field", summary))
+    one, three = (field_bytes(tmp_path / f"{ranks}.h5") for ranks in (1, 3))
+    assert one == three
+    assert ("error/error" in one) == (case is not MOTION)
+    for name in ("errors", "points", "hydrodynamics"):
+        assert summaries[0][name] == summaries[1][name]
 
 
 def test_field_of_a_motion(write_case, run_cli, tmp_path):
-    case = {
-        "body": {"aspect_ratio": 0.5, "stokes_number": 5},
-        "flow": {"type": "shear"},
-        "time": {"end": 2.0, "samples": 5},
-        "field": {
-            "shells": {"distances": [0.0], "shape": [5, 6]},
-            "at": [0, 1.5],
-            "tracers": {"points": [[1.0, 0.2, 0], [0, 0, 0]], "samples": 3},
-        },
-    }
-    done = run_cli(write_case(case), "--json")
+    done = run_cli(write_case(MOTION), "--json")
     assert done.returncode == 0, done.stderr
     result = load(tmp_path / "case.h5")
     field = result.groups["field"]

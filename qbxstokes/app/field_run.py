@@ -12,7 +12,17 @@ from typing import Any
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.field import FieldPlan, run_field
 from qbxstokes.app.plan import result_path
-from qbxstokes.app.report import Rows, counted, duration, error_text, quantity, render
+from qbxstokes.app.report import (
+    Rows,
+    counted,
+    described_points,
+    duration,
+    error_text,
+    field_errors,
+    quantity,
+    render,
+    vector,
+)
 from qbxstokes.app.summary import flow_text, shape_text
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
@@ -86,15 +96,8 @@ def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
 def field_summary(loaded: LoadedCase, summary: dict[str, Any]) -> str:
     """What was computed, its errors, times, and the files."""
     hydro, points, times = summary["hydrodynamics"], summary["points"], summary["wall_times"]
-    described = ", ".join(f"{count} {name}" for name, count in points.items() if count)
-    what = {
-        "no slip": "largest slip on the surface, which bounds the error of the velocity",
-        "table against QBX": "two evaluations at points from the surface to far away",
-    }
-    errors = [
-        (name, f"{error_text(value):9}{what[name]}") for name, value in summary["errors"].items()
-    ]
     vectors = ("velocity", "angular_velocity", "force", "torque")
+    scales = summary["scales"]
     spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
     files = [("file", summary["result"])] + [("", name) for name in summary["files"]]
     asked = result_path(loaded)
@@ -114,10 +117,10 @@ def field_summary(loaded: LoadedCase, summary: dict[str, Any]) -> str:
                     f"{error_text(hydro['true_residual'])}",
                 ),
                 ("table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"),
-                ("points", described or "none"),
-                *((name, ", ".join(quantity(x) for x in summary[name])) for name in vectors),
+                ("points", described_points(points)),
+                *((name, vector(summary[name], scales[name])) for name in vectors),
             ],
-            "Errors": errors,
+            "Errors": field_errors(summary["errors"]),
             "Times": [("total", duration(times["total"])), ("parts", spent)],
             "Result": files,
         },

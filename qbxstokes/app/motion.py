@@ -44,16 +44,14 @@ def run_motion(
 ) -> dict[str, Any]:
     """Compute the motion on this process, write the result file, and return the summary.
 
-    team: the ranks that share the set-up. cache: where operators are kept. Raises Interrupted
-    where a signal asks for it, after what there is has been written and made safe.
+    team: the ranks that share the set-up and the field. cache: where operators are kept. Raises
+    Interrupted where a signal asks for it, after what there is has been written and made safe.
     """
     case = loaded.case
     assert case.time is not None
     with clock.part("set-up"):
         loads, constraints = loads_and_constraints(loaded, float(plan.times[-1]))
         body = form_hydrodynamics(loaded, plan, team or layer_rows, cache)
-        if team is not None:
-            team.dismiss()
     start, stokes = case.start, case.body.stokes_number
     equations = RigidBodyEquations(
         body.model,
@@ -97,7 +95,7 @@ def run_motion(
     replace = recording.overwrite or recording.replaces(recording.target)
     record = {**provenance, "run": recording.run}
     with ResultWriter(recording.target, case.task, record, replace) as writer:
-        _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial)
+        _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial, team)
     if case.field is not None and trajectory.finished:
         from qbxstokes.app.field import draw_pictures
 
@@ -119,6 +117,7 @@ def _conclude(
     body: Hydrodynamic,
     equations: RigidBodyEquations,
     initial: Array,
+    team: RowTeam | None,
 ) -> None:
     """Samples, comparison, field and summary into the result file."""
     case = loaded.case
@@ -156,7 +155,7 @@ def _conclude(
         from qbxstokes.app.field import export_field, field_of_motion
 
         summary["field"] = field_of_motion(
-            loaded, times, samples, clock, writer.file, equations, initial
+            loaded, times, samples, clock, writer, equations, initial, team
         )
         summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.target)
     with clock.part("output"):

@@ -14,6 +14,7 @@ from qbxstokes.io.results import Result
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider
 _WIDEST = 44
+_ROUNDING = 1e-13  # components below this share of the largest are rounding
 
 Rows = Iterable[tuple[str, str]]
 
@@ -50,6 +51,30 @@ def render(title: str, name: str, blocks: Mapping[str, Rows]) -> str:
 def quantity(value: float) -> str:
     """A number as people read it."""
     return f"{value:.6g}"
+
+
+def vector(values: Iterable[float], scale: float = 0.0) -> str:
+    """Components as people read them; those that are rounding are 0.
+
+    scale: size of what the components were computed from, if it exceeds their own.
+    """
+    parts = [float(value) for value in values]
+    least = _ROUNDING * max([scale, *map(abs, parts)])
+    return ", ".join(quantity(part if abs(part) > least else 0.0) for part in parts)
+
+
+def described_points(points: Mapping[str, int]) -> str:
+    """How many points of a field were evaluated in which way."""
+    return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
+
+
+def field_errors(errors: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Rows on the errors of a field, with what each of them is."""
+    what = {
+        "no slip": "largest slip on the surface, which bounds the error of the velocity",
+        "table against QBX": "two evaluations at points from the surface to far away",
+    }
+    return [(name, f"{error_text(value):9}{what[name]}") for name, value in errors.items()]
 
 
 def error_text(value: float) -> str:

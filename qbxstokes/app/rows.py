@@ -8,7 +8,7 @@ wait for its orders without occupying their cores.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,11 +21,24 @@ T = TypeVar("T")
 _POLL = 2e-3  # seconds between looks of a waiting rank
 
 
-class RowTeam:
-    """The ranks of a communicator as one former of rows; `dismiss` ends the others' service."""
+class Alone:
+    """Stands for the communicator of a single rank."""
 
-    def __init__(self, comm: Any) -> None:
-        self._comm = comm
+    rank, size = 0, 1
+
+
+ALONE = Alone()
+
+
+class RowTeam:
+    """The ranks of a communicator at the service of rank 0, above all as one former of rows.
+
+    `dismiss` ends their service.
+    """
+
+    def __init__(self, comm: Any, services: Mapping[str, Callable[..., Any]] | None = None) -> None:
+        """services: what the other ranks can do together with rank 0, by name (see `join`)."""
+        self._comm, self._services = comm, services or {}
         self._serving = comm.size > 1
 
     def __call__(
@@ -40,19 +53,27 @@ class RowTeam:
         order = (spheroid, scheme, n_modes, list(rows), with_single)
         if not self._serving:
             return layer_rows(*order)
-        self._order(order)
-        parts = self._comm.gather(_share(order, 0, self._comm.size))
-        double = np.empty((len(rows), *parts[0][0].shape[1:]))
-        single = np.empty((len(rows), *parts[0][1].shape[1:]))
-        for rank, (some_double, some_single) in enumerate(parts):
-            double[rank :: self._comm.size] = some_double
-            single[rank :: self._comm.size] = some_single
-        return double, single
+        self._order(("rows", order))
+        return _put_together(self._comm.gather(_share(order, 0, self._comm.size)))
 
     def serve(self) -> None:
-        """Form rows for rank 0 until it dismisses the team; for the other ranks."""
+        """Form rows for rank 0, and join in services, until dismissed; for the other ranks."""
         while (order := self._order(None)) is not None:
-            self._comm.gather(_share(order, self._comm.rank, self._comm.size))
+            name, arguments = order
+            if name == "rows":
+                self._comm.gather(_share(arguments, self._comm.rank, self._comm.size))
+            else:
+                self._services[name](*arguments)
+
+    def join(self, name: str, *arguments: Any) -> Any:
+        """Have the other ranks begin a service, in which rank 0 then takes part itself.
+
+        Returns the communicator of those who take part.
+        """
+        if not self._serving:
+            return ALONE
+        self._order((name, arguments))
+        return self._comm
 
     def dismiss(self) -> None:
         """Let the other ranks go on; rank 0 forms further rows alone."""
@@ -76,12 +97,43 @@ def _share(order: Any, rank: int, size: int) -> tuple[Any, Any]:
     return layer_rows(spheroid, scheme, n_modes, rows[rank::size], with_single)
 
 
-def with_team(comm: Any, action: Callable[[RowTeam], T]) -> Callable[[], T]:
+def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """The shares of all ranks as one."""
+    size = len(parts)
+    whole = []
+    for layer in range(2):
+        n_rows = sum(len(part[layer]) for part in parts)
+        rows = np.empty((n_rows, *parts[0][layer].shape[1:]))
+        for rank, part in enumerate(parts):
+            rows[rank::size] = part[layer]
+        whole.append(rows)
+    return whole[0], whole[1]
+
+
+def rows_by_all(
+    comm: Any,
+    spheroid: Spheroid,
+    scheme: Scheme,
+    n_modes: int,
+    rows: Sequence[int],
+    with_single: bool = False,
+) -> tuple[Any, Any]:
+    """Rows as `layer_rows` gives them, formed by all ranks and known to all; called by all."""
+    order = (spheroid, scheme, n_modes, list(rows), with_single)
+    share = _share(order, comm.rank, comm.size)
+    return share if comm.size == 1 else _put_together(comm.allgather(share))
+
+
+def with_team(
+    comm: Any,
+    action: Callable[[RowTeam], T],
+    services: Mapping[str, Callable[..., Any]] | None = None,
+) -> Callable[[], T]:
     """The action of rank 0 with the other ranks at its service; they have served on return.
 
     Every rank calls this; the result is to be run on rank 0 (`parallel.on_root`).
     """
-    team = RowTeam(comm)
+    team = RowTeam(comm, services)
     if comm.rank:
         team.serve()
 

@@ -103,8 +103,14 @@ def compute_case(
         )
         return run_motion(loaded, plan, clock, record, recording, interruption, team, cache)
 
+    def help_with_field(*arguments: Any) -> None:
+        from qbxstokes.app import field
+
+        field.help_with_field(comm, loaded, clock, *arguments)
+
+    services = {"field": help_with_field}
     with Interruption(patient=comm.rank != 0) as interruption:
-        summary = on_root(comm, with_team(comm, compute))
+        summary = on_root(comm, with_team(comm, compute, services))
     if comm.rank == 0:
         for problem in summary["cache_problems"]:
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)

@@ -9,7 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes.app.plan import Plan, result_path
-from qbxstokes.app.report import Rows, counted, duration, error_text, quantity, render, size
+from qbxstokes.app.report import (
+    Rows,
+    counted,
+    described_points,
+    duration,
+    error_text,
+    field_errors,
+    quantity,
+    render,
+    size,
+    vector,
+)
 from qbxstokes.config.constraints import FREE, LOCKED
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
@@ -126,6 +137,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
         (name.replace("_", " "), f"{error_text(value):9}against {summary['references'][name]}")
         for name, value in summary["errors"].items()
     ]
+    errors += field_errors(summary.get("field", {}).get("errors", {}))
     if summary["note"]:
         errors.append(("", summary["note"]))
     times = summary["wall_times"]
@@ -151,6 +163,8 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
 
 def _result(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
     yield "file", summary["result"]
+    for name in summary.get("field", {}).get("files", ()):
+        yield "", name
     asked = result_path(loaded)
     if Path(summary["result"]) != asked:
         yield "", f"({asked} exists and was kept; --overwrite replaces it)"
@@ -192,6 +206,8 @@ def _solved(summary: dict[str, Any]) -> Rows:
         f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+    if "field" in summary:
+        yield "field", described_points(summary["field"]["points"])
 
 
 def _estimate(hydro: Mapping[str, Any]) -> str:
@@ -217,7 +233,7 @@ def _seen(summary: dict[str, Any]) -> Rows:
         yield "period", f"{found['period']:.12g} ({turns})"
         drift = found["drift_per_period"]
         if any(abs(part) > _NO_DRIFT for part in drift):
-            yield "drift per period", "(" + ", ".join(quantity(part) for part in drift) + ")"
+            yield "drift per period", f"({vector(drift)})"
         first, last = found["orbit_constant_first"], found["orbit_constant_last"]
         if min(first, last) > _TUMBLING:
             yield "orbit constant", "infinite: the body tumbles in the plane of shear"

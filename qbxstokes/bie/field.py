@@ -158,21 +158,27 @@ class Disturbance:
         ratio = (1.0 + k) / (np.sqrt(alpha2) + np.sqrt(alpha2 + (1.0 - k) * (1.0 + k)))
         return np.asarray(ratio ** (self.table.harmonics.degree + 1))
 
-    def check(self, count: int = 12, seed: int = 0) -> float:
-        """Largest difference between table and QBX over random targets, relative to `scale`.
-
-        Targets lie on the surface and at distances from 1e-6 to ten body lengths: two evaluations
-        of one field that share nothing but the density.
-        """
+    def check_points(self, count: int = 12, seed: int = 0) -> Array:
+        """Random targets (count, 3) on the surface and from 1e-6 to ten body lengths away."""
         rng = np.random.default_rng(seed)
         spheroid = self.grid.spheroid
         theta, phi = np.arccos(rng.uniform(-1, 1, count)), rng.uniform(0, 2 * np.pi, count)
         distance = max(spheroid.aspect_ratio, 1.0) * 10.0 ** np.linspace(-6, 1.3, count)
         distance[0] = 0.0
-        points = spheroid.surface(theta, phi) + distance[:, None] * spheroid.normal(theta, phi)
-        table = self.table.evaluate(points, with_stress=False)[0]
-        direct = self.potentials.evaluate(points, 1e-13)[0]
-        return float(np.abs(table - direct).max()) / (self.scale or 1.0)
+        return spheroid.surface(theta, phi) + distance[:, None] * spheroid.normal(theta, phi)
+
+    def differences(self, points: Array) -> Array:
+        """Difference (N,) of the velocity by table and by QBX at (N, 3), relative to `scale`.
+
+        Two evaluations of one field that share nothing but the density. NaN in the body.
+        """
+        table = self.evaluate(points, 1e-13, "table", with_stress=False)[0]
+        direct = self.evaluate(points, 1e-13, "quadrature")[0]
+        return np.asarray(np.linalg.norm(table - direct, axis=-1) / (self.scale or 1.0))
+
+    def check(self, count: int = 12, seed: int = 0) -> float:
+        """Largest of the differences over random targets."""
+        return float(self.differences(self.check_points(count, seed)).max())
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Fields in a result file: the group `field`, written block by block.
+"""Fields in a result file: the group `field`, which all ranks fill block by block.
 
 Layout: `field/time` (T,); per set of points a group with `points` (T, N, 3), the quantities
 (T, N, ...), `inside` (T, N) and `source` (T, N), attribute `shape` (the grid, last index fastest)
@@ -9,12 +9,15 @@ and what describes the grid; `field/surface` with points, traction and pressure 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.io.places import place, placed_dataset, write_at
 from qbxstokes.io.results import Field
 
 if TYPE_CHECKING:
@@ -35,40 +38,58 @@ FIELD_FIELDS: dict[str, Field] = {
     "traction": Field((3,), "mu/tau", "space", "force of the fluid on the body per area", _XYZ),
     "normals": Field((3,), "1", "space", "outward unit normals", _XYZ),
 }
+# What every point has besides its quantities.
+MARKS: dict[str, Field] = {
+    "inside": Field((), "1", "", "point in the body"),
+    "source": Field((), "1", "", "0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body"),
+}
+_NUMBER = np.dtype(np.float64)
+_TYPES = {"inside": np.dtype(np.bool_), "source": np.dtype(np.int8)}
 
 
 def create(
     file: h5py.File, times: Array, sets: Mapping[str, tuple[int, ...]], names: Sequence[str]
-) -> h5py.Group:
-    """The group `field` with empty datasets for the sets of points (name -> shape of the grid)."""
+) -> dict[str, int]:
+    """The group `field` with room for sets of points (name -> shape of the grid).
+
+    Returns the place of every dataset that `FieldRows` fills, by "set/quantity".
+    """
     group = file.create_group(GROUP)
     time = group.create_dataset("time", data=np.asarray(times, float), track_times=False)
     time.attrs.update(units="tau", description="instants of the field", frame="")
+    places = {}
     for name, shape in sets.items():
         inner = group.create_group(name)
         inner.attrs["shape"] = np.array(shape)
         size = int(np.prod(shape))
-        for quantity in ("points", *names):
-            field = FIELD_FIELDS[quantity]
-            _empty(inner, quantity, (len(times), size, *field.shape), "f8", field)
-        _empty(inner, "inside", (len(times), size), "?", Field((), "1", "", "point in the body"))
-        _empty(
-            inner,
-            "source",
-            (len(times), size),
-            "i1",
-            Field((), "1", "", "0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body"),
-        )
-    return group
+        for quantity in ("points", *names, *MARKS):
+            about = FIELD_FIELDS.get(quantity) or MARKS[quantity]
+            whole = (len(times), size, *about.shape)
+            data = placed_dataset(inner, quantity, whole, _TYPES.get(quantity, _NUMBER), about)
+            places[f"{name}/{quantity}"] = place(data)
+    return places
 
 
-def _empty(
-    group: h5py.Group, name: str, shape: tuple[int, ...], kind: str, field: Field
-) -> h5py.Dataset:
-    chunk = (1, min(max(shape[1], 1), 8192), *shape[2:])
-    data = group.create_dataset(name, shape, kind, chunks=chunk, fletcher32=True, track_times=False)
-    describe(data, field)
-    return data
+class FieldRows:
+    """The points of a laid out field, opened by one rank for the blocks that it has evaluated."""
+
+    def __init__(self, path: Path, places: Mapping[str, int], sizes: Mapping[str, int]) -> None:
+        """Open it; sizes: number of points of every set. Raises OSError."""
+        self._descriptor = os.open(path, os.O_WRONLY)
+        self._places, self._sizes = places, sizes
+
+    def put(self, name: str, index: int, begin: int, block: Mapping[str, Array]) -> None:
+        """Write a block of points and quantities of a set at an instant; raises OSError."""
+        first = index * self._sizes[name] + begin
+        for quantity, values in block.items():
+            data = np.ascontiguousarray(values, dtype=_TYPES.get(quantity, _NUMBER))
+            row = data.dtype.itemsize * int(np.prod(data.shape[1:]))
+            offset = self._places[f"{name}/{quantity}"] + first * row
+            write_at(self._descriptor, data.data.cast("B"), offset)
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._descriptor)
 
 
 def describe(data: h5py.Dataset, field: Field) -> None:
@@ -76,12 +97,6 @@ def describe(data: h5py.Dataset, field: Field) -> None:
     data.attrs.update(units=field.units, description=field.description, frame=field.frame)
     if field.components:
         data.attrs["components"] = list(field.components)
-
-
-def put(group: h5py.Group, name: str, index: int, begin: int, block: Mapping[str, Array]) -> None:
-    """Write a block of points and quantities of the set `name` at the instant `index`."""
-    for quantity, values in block.items():
-        group[name][quantity][index, begin : begin + len(values)] = values
 
 
 def put_arrays(

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
+from qbxstokes.io.places import reserve
 from qbxstokes.io.tables import GROUP, Table, read_tables
 
 if TYPE_CHECKING:
@@ -269,6 +270,12 @@ class ResultWriter:
         data.resize(held + len(values), axis=0)
         data[held:] = values
         return data
+
+    def claim(self) -> None:
+        """Claim the room of all that has been laid out so far; raises OutputError."""
+        with self._writing():
+            self.file.flush()
+            reserve(self.temporary)
 
     def sync(self) -> None:
         """Bring what was appended to the disk; raises OutputError."""

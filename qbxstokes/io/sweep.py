@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import QbxStokesError, ResultFileError
+from qbxstokes.io.places import place, placed_dataset, reserve, write_at
 from qbxstokes.io.results import (
     CONVENTIONS,
     FORMAT,
@@ -127,11 +128,11 @@ def create(
             write_tree(file.create_group("provenance"), provenance)
             totals = file.create_group("summary")
             for name in TOTALS:
-                _dataset(totals, name, (), np.dtype(np.float64))
+                placed_dataset(totals, name, (), np.dtype(np.float64))
             _lay_out(file, layout)
             file.flush()
             offsets = _offsets(file)
-        _reserve(data)
+        reserve(data)
         with WholeFile(data, offsets, layout) as whole:
             for first, columns in coordinates:
                 for name, values in columns.items():
@@ -161,7 +162,7 @@ def _check_room(folder: Path, layout: Layout) -> None:
 def _lay_out(file: h5py.File, layout: Layout) -> None:
     """All datasets with their scales; the numbers come later."""
     numbers = np.dtype(np.float64)
-    table = _dataset(file, "table", (layout.size,), layout.dtype)
+    table = placed_dataset(file, "table", (layout.size,), layout.dtype)
     table.attrs["description"] = "one row per trajectory"
     for name in layout.dtype.names or ():
         units, description = layout.descriptions.get(name, ("", ""))
@@ -169,13 +170,13 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
         if units:
             table.attrs[f"{name}: units"] = units
     table.attrs["coordinates"] = list(layout.coordinates)
-    index = _dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), _INDEX)
+    index = placed_dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), _INDEX)
     index.make_scale("trajectory")
     scales = []
     for name in layout.coordinates:
         kind = layout.dtype[name]
         units, description = layout.descriptions.get(name, ("", ""))
-        scale = _dataset(file, name, (layout.size,), kind, Field((), units, "", description))
+        scale = placed_dataset(file, name, (layout.size,), kind, Field((), units, "", description))
         scale.make_scale(name)
         scales.append(scale)
     table.dims[0].label = "trajectory"
@@ -185,10 +186,10 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
         return
     own = layout.times is None
     shape = (layout.size, layout.samples) if own else (layout.samples,)
-    time = _dataset(file, "time", shape, numbers, TIME)
+    time = placed_dataset(file, "time", shape, numbers, TIME)
     second = time
     if own:
-        second = _dataset(file, "sample", (layout.samples,), np.dtype(np.int64), _SAMPLE)
+        second = placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), _SAMPLE)
         time.dims[0].attach_scale(index)
         second.make_scale("sample")
         time.dims[1].attach_scale(second)
@@ -196,45 +197,13 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
         time.make_scale("time")
     for name in layout.fields:
         about = MOTION_FIELDS[name]
-        data = _dataset(file, name, (layout.size, layout.samples, *about.shape), numbers, about)
+        data = placed_dataset(
+            file, name, (layout.size, layout.samples, *about.shape), numbers, about
+        )
         for scale in (index, *scales):
             data.dims[0].attach_scale(scale)
         data.dims[1].attach_scale(second)
         data.dims[0].label, data.dims[1].label = "trajectory", "sample" if own else "time"
-
-
-def _dataset(
-    group: h5py.Group,
-    name: str,
-    shape: tuple[int, ...],
-    dtype: np.dtype[Any],
-    about: Field | None = None,
-) -> h5py.Dataset:
-    """A contiguous dataset whose place in the file is fixed at once, and never filled by HDF5."""
-    import h5py
-
-    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    creation.set_layout(h5py.h5d.CONTIGUOUS)
-    creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    creation.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-    space = h5py.h5s.create_simple(shape) if shape else h5py.h5s.create(h5py.h5s.SCALAR)
-    kind = h5py.h5t.py_create(dtype, logical=True)
-    data = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, creation))
-    if about is not None:
-        data.attrs.update(units=about.units, description=about.description, frame=about.frame)
-        if about.components:
-            data.attrs["components"] = list(about.components)
-    return data
-
-
-def _reserve(data: Path) -> None:
-    """Claim the room on the disk now, so that no block finds it full later."""
-    size = data.stat().st_size
-    descriptor = os.open(data, os.O_WRONLY)
-    try:
-        os.posix_fallocate(descriptor, 0, size)
-    finally:
-        os.close(descriptor)
 
 
 def _write_atomically(path: Path, text: str) -> None:
@@ -266,11 +235,13 @@ class WholeFile:
     def write_column(self, name: str, first: int, values: Array) -> None:
         """Entries of a one-dimensional dataset from `first` on."""
         data = np.ascontiguousarray(values)
-        self._write(data.tobytes(), self._offsets[name] + first * data.dtype.itemsize)
+        write_at(
+            self._descriptor, data.tobytes(), self._offsets[name] + first * data.dtype.itemsize
+        )
 
     def write_total(self, name: str, value: float) -> None:
         """A number of the whole sweep."""
-        self._write(np.float64(value).tobytes(), self._offsets[f"summary/{name}"])
+        write_at(self._descriptor, np.float64(value).tobytes(), self._offsets[f"summary/{name}"])
 
     def write_rows(self, rows: Array, arrays: Mapping[str, Array]) -> int:
         """Rows of the table and the quantities; returns their checksum.
@@ -284,7 +255,7 @@ class WholeFile:
             checksum = zlib.crc32(view, checksum)
             for start, stop in runs(rows):
                 offset = self._offsets[name] + int(rows[start]) * size
-                self._write(view[start * size : stop * size], offset)
+                write_at(self._descriptor, view[start * size : stop * size], offset)
         return checksum
 
     def checksum(self, rows: Array) -> int:
@@ -317,12 +288,6 @@ class WholeFile:
 
     def _names(self, present: Mapping[str, Any]) -> list[str]:
         return [name for name in ("table", "time", *self._layout.fields) if name in present]
-
-    def _write(self, data: Any, offset: int) -> None:
-        view = memoryview(data)
-        while len(view):
-            written = os.pwrite(self._descriptor, view, offset)
-            view, offset = view[written:], offset + written
 
     def __enter__(self) -> WholeFile:
         """The file itself."""
@@ -429,7 +394,7 @@ def _offsets(file: h5py.File) -> dict[str, int]:
 
     totals = {f"summary/{name}": item for name, item in file["summary"].items()}
     return {
-        name: int(item.id.get_offset())
+        name: place(item)
         for name, item in {**file, **totals}.items()
         if isinstance(item, h5py.Dataset)
     }
