@@ -19,7 +19,6 @@ from qbxstokes.app.report import (
     duration,
     error_text,
     field_errors,
-    quantity,
     render,
     vector,
 )
