@@ -141,9 +141,13 @@ class FieldWork:
     def _mapped(self) -> NDArray[np.int64]:
         """Numbers of the points of the plane at which table and QBX are compared."""
         assert self.plane is not None
-        stride = max(1, int(np.ceil(np.sqrt(self.plane.size / self.section.check))))
-        index = np.arange(self.plane.size).reshape(self.plane.shape)
-        return index[::stride, ::stride].ravel()
+        stride = np.sqrt(self.plane.size / self.section.check)
+        # From edge to edge, so that the map fills the plane.
+        first, second = (
+            np.unique(np.linspace(0, n - 1, max(2, round(n / stride))).round().astype(np.int64))
+            for n in self.plane.shape
+        )
+        return (first[:, None] * self.plane.shape[1] + second).ravel()
 
     # -- on every rank ------------------------------------------------------------------------
 

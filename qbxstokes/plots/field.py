@@ -32,7 +32,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
-_ARROWS = (9, 16)  # arrows of traction, from pole to pole and around the equator
+# Arrows of the traction: distance between them over the half width of the picture, and the least
+# length over the longest.
+_SPACING, _SHORTEST = 0.12, 0.1
+# Median over largest traction below which colours are logarithmic, and their range then.
+_PEAKED, _RANGE = 0.12, 1e-2
 
 
 def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
@@ -92,6 +96,7 @@ def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
 def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     """Magnitude of the traction on the body from two sides, with its part in the view as arrows."""
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import LogNorm, Normalize
 
     field = result.groups["field"]
     surface = field["surface"]
@@ -115,6 +120,9 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     reach = 1.3 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
     longest = float(size.max()) or 1.0
+    # On a slender or flat body nearly all of it would have one colour.
+    peaked = np.median(size) < _PEAKED * longest
+    norm = LogNorm(_RANGE * longest, longest, clip=True) if peaked else Normalize(0.0, longest)
     for axes, side, name in zip(panels, (1.0, -1.0), ("front", "back"), strict=True):
         # Seen from behind, the first coordinate runs the other way.
         flat = np.stack([side * (points @ first), points @ second], axis=-1)
@@ -123,16 +131,15 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
         mesh = PolyCollection(
             list(polygons), array=value[seen], cmap=SEQUENTIAL, edgecolors="face", linewidths=0.2
         )
-        mesh.set_clim(0.0, longest)
+        mesh.set_norm(norm)
         mesh.set_rasterized(True)
         axes.add_collection(mesh)
-        chosen = _spread(n_theta, n_phi)
-        chosen &= side * (normals @ view) > 0.1
-        start, arrow = flat[chosen], traction[chosen]
+        facing = side * (normals @ view) > 0.1
+        flat_arrows = np.stack([side * (traction @ first), traction @ second], axis=-1)
+        chosen = _spread(flat[facing], flat_arrows[facing], _SPACING * reach)
         axes.quiver(
-            *start.T,
-            side * (arrow @ first),
-            arrow @ second,
+            *flat[facing][chosen].T,
+            *flat_arrows[facing][chosen].T,
             color="white",
             edgecolor=BLACK,
             linewidth=0.3,
@@ -156,12 +163,19 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     return figure
 
 
-def _spread(n_theta: int, n_phi: int) -> NDArray[np.bool_]:
-    """Nodes of a surface grid (n_theta, n_phi) that are about evenly spread."""
-    chosen = np.zeros((n_theta, n_phi), dtype=bool)
-    for row in np.unique(np.linspace(0, n_theta - 1, _ARROWS[0] + 2).round().astype(int))[1:-1]:
-        around = max(3, round(_ARROWS[1] * float(np.sin(np.pi * row / (n_theta - 1)))))
-        chosen[row, np.unique((np.arange(around) * n_phi) // around)] = True
+def _spread(points: Array, arrows: Array, spacing: float) -> list[int]:
+    """Numbers of points (N, 2) that keep a distance in the view, those of large arrows first.
+
+    Arrows (N, 2) too short to be seen are left out.
+    """
+    length = np.linalg.norm(arrows, axis=-1)
+    chosen: list[int] = []
+    for number in np.argsort(-length, kind="stable"):
+        if length[number] < _SHORTEST * length.max(initial=0.0):
+            break
+        taken = points[chosen]
+        if np.all(np.sum((taken - points[number]) ** 2, axis=-1) > spacing**2):
+            chosen.append(int(number))
     return chosen
 
 
@@ -182,6 +196,7 @@ def error_figure(result: ResultLike) -> Figure:
     mesh = axes.pcolormesh(
         a[first], b[second], values, norm=norm, shading="nearest", cmap=SEQUENTIAL, rasterized=True
     )
+    axes.set_facecolor(PALE)  # cells whose point lies in the body
     _body_section(axes, result, plane, a, b, -1)
     axes.set_xlim(a[0], a[-1])
     axes.set_ylim(b[0], b[-1])
