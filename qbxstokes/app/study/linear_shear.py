@@ -226,7 +226,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_ylabel("error of the axis")
     panels[1].set_ylabel("error of the axis")
     style.letter_panels(list(panels))
-    return {"linear_shear": figure}
+    return {"validation": figure}
 
 
 def _listed(spec: dict[str, Any]) -> dict[str, Any]:

@@ -196,7 +196,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_ylim(1e-15, 1e2)
     panels[1].set_ylim(top=30.0 * np.nanmax(best["time"]))
     style.letter_panels(list(panels))
-    return {"qbx_aspect_ratios": figure}
+    return {"aspect_ratios": figure}
 
 
 def _power(tolerance: float) -> str:

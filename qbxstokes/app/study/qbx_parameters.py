@@ -369,7 +369,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
                   loc="outside right center")  # fmt: skip
     style.letter_panels(list(panels))
     return {
-        "qbx_orientations": first,
-        "qbx_valley": valley,
-        "qbx_map": figure_of(parameters),
+        "orientations": first,
+        "valley": valley,
+        "map": figure_of(parameters),
     }
