@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Literal
 
@@ -411,3 +413,17 @@ def test_checkpoint_alone_starts_a_run() -> None:
     start = start_of(equations)
     one = integrate(equations, Checkpoint(0.0, start), [5.0])
     assert np.array_equal(one.states, integrate(equations, start, [5.0]).states)
+
+
+def test_compiled_blocks_leave_the_hdf5_of_h5py_alone():
+    """PETSc's own HDF5 must not reach an h5py that is imported after the first integration."""
+    program = (
+        "import numpy as np\n"
+        "from qbxstokes.petsc import session\n"
+        "session.start([], {})\n"
+        "from qbxstokes.petsc.native import _library\n"
+        "assert _library() is not None\n"
+        "import h5py\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

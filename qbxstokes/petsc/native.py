@@ -125,11 +125,19 @@ def _compiled(degree: int, inertial: bool, loaded: bool, following: bool) -> Any
 
 @cache
 def _library() -> Any:
-    """PETSc's library, None where its functions cannot be called by name."""
-    llvmlite.binding.load_library_permanently(PETSc.__file__)
+    """PETSc's library, None where its functions cannot be called by name.
+
+    Numba is told the addresses one by one: opened for all to see, PETSc's libraries would hand
+    their HDF5 to an h5py that is imported later and was built with another.
+    """
     library = ctypes.CDLL(PETSc.__file__)
     known = all(hasattr(library, name) for name in (*_ARRAYS, "TSSetRHSFunction"))
-    return library if known and np.dtype(PETSc.ScalarType) == np.float64 else None
+    if not known or np.dtype(PETSc.ScalarType) != np.float64:
+        return None
+    for name in _ARRAYS:
+        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+        llvmlite.binding.add_symbol(name, address)
+    return library
 
 
 class NativeRate:

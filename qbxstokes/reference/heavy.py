@@ -113,8 +113,11 @@ def rolling_drift_coefficient(k: float) -> float:
     return float(inertia(k)[2]) * shape(k) / (4.0 * turning)
 
 
-def rolling_exponent(k: float, stokes_number: float) -> float:
-    """Largest growth rate of a small tilt from log-rolling, for any St: an eigenvalue."""
+def rolling_mode(k: float, stokes_number: float) -> complex:
+    """Growth rate and rate of turning of a small tilt from log-rolling, for any St: an eigenvalue.
+
+    Of those that grow fastest or decay slowest, the one with positive imaginary part.
+    """
     lam, rate = shape(k), relaxation_rates(k)[2] / stokes_number
     ratio = float(inertia(k)[2] / inertia(k)[0])
     # d1'' = b ((1+lambda)/2 d2 - d1') + (J3/J1) d2'/2 and its partner; s = -1/2.
@@ -127,7 +130,13 @@ def rolling_exponent(k: float, stokes_number: float) -> float:
         ]
     )
     # |d'|^2 d is of second order; P d'' = d'' here.
-    return float(np.linalg.eigvals(system).real.max())
+    modes = np.linalg.eigvals(system)
+    return complex(max(modes, key=lambda mode: (round(mode.real, 12), mode.imag)))
+
+
+def rolling_exponent(k: float, stokes_number: float) -> float:
+    """Largest growth rate of a small tilt from log-rolling, for any St."""
+    return rolling_mode(k, stokes_number).real
 
 
 @dataclass(frozen=True)
@@ -172,6 +181,10 @@ def tumbling(k: float, stokes_number: float) -> Tumbling:
         return Tumbling(k, 0.0, angle, free)
     derivative = _derivative(n)
     lag = stokes_number / relaxation_rates(k)[2]
+    # Heavy bodies turn almost evenly: a start as good as Jeffery's for light ones.
+    even = _newton(np.full(n, 0.5), free, derivative, lag) if lag > 2.0 else None
+    if even is not None:
+        return Tumbling(k, stokes_number, angle, even)
     speed, reached = free, 0.0
     step = min(lag, 0.1 * k if k < 1.0 else 0.1 / k)
     while reached < lag:

@@ -332,25 +332,26 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_yscale("log")
     panels[0].set_xlabel(r"Stokes number $\mathrm{St}$")
     panels[0].set_ylabel(r"drift$\,/\,K c^2$")
-    for k in ratios[:1] + ratios[-1:]:
+    for k in (k for k in (0.1, 0.5, 5.0) if k in ratios):
         color, _, marker = style.LINES[ratios.index(k) % 7]
         dashes: dict[Inertia, Any] = {"both": "solid", "translation": (0, (4, 1.5))}
+        light, last = heavy.small_stokes_drift(k), heavy.large_stokes_drift(k)
+        scale = heavy.relaxation_rates(k)[0]
         for parts, look in dashes.items():
             chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == parts)
-            order = np.argsort(drift["stokes_number"][chosen])
-            x, y = (drift[name][chosen][order] for name in ("stokes_number", "drift"))
-            slope, scale = heavy.small_stokes_drift(k), heavy.relaxation_rates(k)[0]
-            fine = np.geomspace(x[0], x[-1], 60)
+            x, y = (drift[name][chosen] for name in ("stokes_number", "drift"))
+            fine = np.geomspace(np.min(x), np.max(x), 60)
             exact = np.array([heavy.drift(k, float(s), parts) for s in fine])
-            panels[1].plot(fine / scale, exact / (fine * slope), color=color, linestyle=look,
+            joined = exact * (1.0 / (light * fine) + fine / last)
+            panels[1].plot(fine / scale, joined, color=color, linestyle=look,
                            label=f"$k={k:g}$, {parts}")  # fmt: skip
-            panels[1].plot(x / scale, y / (x * slope), marker, color=color,
+            panels[1].plot(x / scale, y * (1.0 / (light * x) + x / last), marker, color=color,
                            markerfacecolor="white")  # fmt: skip
+    panels[1].axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
     panels[1].set_xscale("log")
-    panels[1].set_yscale("log")
     panels[1].set_xlabel(r"$\mathrm{St}\,\Theta/R_1$")
-    panels[1].set_ylabel(r"drift$\,/\,$its limit of small $\mathrm{St}$")
-    panels[1].legend(loc="lower left", title="inertia")
+    panels[1].set_ylabel(r"drift$\,/\,$limits of small and large $\mathrm{St}$, joined")
+    panels[1].legend(loc="upper right", title="inertia")
     index = 0
     for k in (0.5, 2.0):
         rest = (drift["aspect_ratio"] == k) & (drift["inertia"] == "both")

@@ -117,11 +117,11 @@ def _history(k: float, stokes: float) -> list[dict[str, Any]]:
     half = heavy.tumbling(k, stokes).half_turn
     relaxed = simulate.TRANSIENT * stokes / heavy.relaxation_rates(k)[2]
     lead = half * np.ceil(relaxed / half)
-    times = lead + np.linspace(0.0, 1.1 * half, 400)
+    times = lead + np.linspace(0.0, 2.1 * half, 800)
     run = simulate.simulate(k, simulate.shear(), stokes, tumble, times, ACCURATE)
     axis, spin = run.samples["axis"][:, 0], run.samples["angular_velocity"][:, 0, 2]
     angle = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
-    angle -= np.pi * np.ceil(angle[0] / np.pi)  # zero where the axis is along the stream
+    angle -= np.pi * np.floor(angle[0] / np.pi)  # zero where the axis is next along the stream
     return [
         {
             "table": "rotation_history",
@@ -131,7 +131,7 @@ def _history(k: float, stokes: float) -> list[dict[str, Any]]:
             "speed": float(-w),
         }
         for a, w in zip(angle[::4], spin[::4], strict=True)
-        if -1.0 <= a / np.pi <= 0.02
+        if -1.02 <= a / np.pi <= 0.02
     ]
 
 
@@ -216,13 +216,14 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         panels[2].plot(
             history["angle"][chosen],
             history["speed"][chosen],
-            label=f"{stokes:g}",
+            label=rf"$\mathrm{{St}} = {stokes:g}$",
             **style.line_style(index),
         )
     panels[2].axhline(0.5, color=style.GREY, linewidth=0.6, zorder=0)
     panels[2].set_xlabel(r"angle from the stream$\,/\,\pi$")
     panels[2].set_ylabel(r"angular speed$\,/\,$shear rate")
-    panels[2].legend(title=r"$\mathrm{St}$ ($k = 0.2$)", loc="upper right")
+    panels[2].set_xlim(-1.0, 0.0)
+    style.legend_above(panels[2], columns=2)
     panels[0].set_ylabel("error of the axis")
     panels[1].set_ylabel("error of the axis")
     style.letter_panels(list(panels))

@@ -11,11 +11,11 @@ from qbxstokes.app.study.linear_shear import fill
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.reference import heavy, jeffery
 
-HALF_TURNS = 4
-# Tilts from rolling and from the plane of shear that count as small: at the start of runs that
-# leave, and of runs that arrive.
-LEAVING, ARRIVING = 1e-6, 0.02
-ORBITS = ("rolling", "C = 1", "tumbling")
+HALF_TURNS = 2
+# A tilt from rolling, or from the plane of shear, that counts as small.
+SMALL = 2e-3
+# Tilts that turn more slowly than this about rolling are not followed.
+_SLOWEST = 0.02
 
 
 def blocks(full: bool) -> list[dict[str, Any]]:
@@ -25,7 +25,8 @@ def blocks(full: bool) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for k in ratios:
         stokes = [float(f"{lag * heavy.relaxation_rates(k)[2]:.4g}") for lag in lags]
-        found += [{"k": k, "stokes_numbers": group} for group in simulate.decades(stokes, 6.0)]
+        found += [{"k": k, "stokes_numbers": group} for group in simulate.decades(stokes, 2.5)]
+    found += [{"k": k, "exponents": 40 if full else 5, "lags": [lags[0], lags[-1]]} for k in ratios]
     found += [{"k": k, "coefficients": 25 if full else 5} for k in ratios]
     shown = ((0.5, 10.0), (0.5, 40.0), (2.0, 1.0), (2.0, 4.0)) if full else ((0.5, 10.0),)
     return found + [{"k": k, "history": st} for k, st in shown]
@@ -35,9 +36,11 @@ def compute(
     k: float,
     stokes_numbers: list[float] | None = None,
     coefficients: int | None = None,
+    exponents: int | None = None,
+    lags: list[float] | None = None,
     history: float | None = None,
 ) -> list[dict[str, Any]]:
-    """Drift rates, the small-St coefficient over the orbit constant, or C in time."""
+    """Drift rates, exact exponents, the small-St coefficient over the orbit, or C in time."""
     if stokes_numbers is not None:
         return _rates(k, stokes_numbers)
     if coefficients is not None:
@@ -50,50 +53,99 @@ def compute(
             }
             for c in np.geomspace(0.01, 100.0, coefficients).tolist()
         ]
+    if exponents is not None:
+        assert lags is not None
+        scale = heavy.relaxation_rates(k)[2]
+        return [
+            {
+                "table": "drift_exponent",
+                "aspect_ratio": k,
+                "stokes_number": lag * scale,
+                "rolling": heavy.rolling_exponent(k, lag * scale),
+                "tumbling": -heavy.tumbling_exponent(k, lag * scale),
+            }
+            for lag in np.geomspace(lags[0], lags[1], exponents).tolist()
+        ]
     assert history is not None
     return _history(k, history)
 
 
 def _rates(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
-    """Rates of ln C near both limits at every St, and on the orbit C = 1 where they are small."""
-    n = len(stokes_numbers)
-    rolling, tumbling = (LEAVING, ARRIVING) if k < 1.0 else (ARRIVING, LEAVING)
-    constants = np.repeat([rolling, 1.0, 1.0 / tumbling], n)
-    stokes = np.tile(stokes_numbers, 3)
+    """Rates of ln C near both limits at every St, and on the orbit C = 1 where they are small.
+
+    A body that leaves a limit is started so close to it that it is still near at the end, one that
+    arrives there so far from it that it is near only when the transient is over.
+    """
+    rows = [_near_rolling(k, st) for st in stokes_numbers]
+    rows += _near_tumbling(k, stokes_numbers)
     relaxed = 10.0 * max(stokes_numbers) / heavy.relaxation_rates(k)[2]
-    found = simulate.measure(
-        k,
-        simulate.shear(),
-        stokes,
-        simulate.orbit_axes(k, constants),
-        HALF_TURNS,
-        relaxed=relaxed,
-    )
-    rows = []
-    for i, st in enumerate(stokes.tolist()):
-        orbit = ORBITS[i // n]
-        limit = {"rolling": 0.0, "C = 1": 1.0, "tumbling": np.inf}[orbit]
-        if orbit == "rolling":
-            small, exact = heavy.rolling_drift_coefficient(k), heavy.rolling_exponent(k, st)
-        else:
-            small = heavy.orbit_drift_coefficient(k, limit)
-            exact = -heavy.tumbling_exponent(k, st) if orbit == "tumbling" else np.nan
-        if orbit == "C = 1" and abs(st * small) * (relaxed + 50.0) > 0.3:
-            continue  # it leaves the orbit before the transient is over
-        rows.append(
-            {
-                "table": "orbit_drift",
-                "aspect_ratio": k,
-                "orbit": orbit,
-                "stokes_number": st,
-                "rate": float(found.values["orbit_drift"][i]),
-                "uncertainty": float(found.errors["orbit_drift"][i]),
-                "theory": exact,
-                "rate_over_st": float(found.values["orbit_drift"][i]) / st,
-                "coefficient": small,
-            }
-        )
+    b = heavy.orbit_drift_coefficient(k, 1.0)
+    # The others leave the orbit before the transient is over.
+    slow = [st for st in stokes_numbers if abs(st * b) * (relaxed + 50.0) < 0.3]
+    if slow:
+        axis = np.tile(simulate.orbit_axes(k, 1.0), (len(slow), 1))
+        found = simulate.measure(
+            k, simulate.shear(), slow, axis, HALF_TURNS, relaxed=relaxed
+        )  # fmt: skip
+        rows += [_row(k, "C = 1", st, found, i, np.nan, b) for i, st in enumerate(slow)]
     return rows
+
+
+def _near_rolling(k: float, stokes: float) -> dict[str, Any]:
+    mode = heavy.rolling_mode(k, stokes)
+    relaxed = 10.0 * stokes / heavy.relaxation_rates(k)[2]
+    half_turn = np.pi / mode.imag if mode.imag > _SLOWEST else np.pi / _SLOWEST
+    start = _start(mode.real, relaxed, half_turn)
+    found = simulate.measure(
+        k, simulate.shear(), stokes, simulate.orbit_axes(k, start), HALF_TURNS,
+        relaxed=relaxed, half_turn=half_turn,
+    )  # fmt: skip
+    small = heavy.rolling_drift_coefficient(k)
+    return _row(k, "rolling", stokes, found, 0, mode.real, small)
+
+
+def _near_tumbling(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
+    relaxed = 10.0 * max(stokes_numbers) / heavy.relaxation_rates(k)[2]
+    half_turn = heavy.tumbling(k, min(stokes_numbers)).half_turn
+    exact = [heavy.tumbling_exponent(k, st) for st in stokes_numbers]
+    starts = np.array([_start(growth, relaxed, half_turn) for growth in exact])
+    axis = simulate.orbit_axes(k, 1.0 / starts)
+    found = simulate.measure(
+        k, simulate.shear(), stokes_numbers, axis, HALF_TURNS, relaxed=relaxed
+    )  # fmt: skip
+    small = heavy.orbit_drift_coefficient(k, np.inf)
+    return [
+        _row(k, "tumbling", st, found, i, -exact[i], small) for i, st in enumerate(stokes_numbers)
+    ]
+
+
+def _start(growth: float, relaxed: float, half_turn: float) -> float:
+    """Tilt at the start, so that it is small, but not too small, while it is measured."""
+    late = relaxed + (HALF_TURNS + 1.5 if growth > 0.0 else 1.0) * half_turn
+    return float(np.clip(SMALL * np.exp(-growth * late), 1e-10, 0.3))
+
+
+def _row(
+    k: float,
+    orbit: str,
+    stokes: float,
+    found: simulate.Measured,
+    i: int,
+    exact: float,
+    small: float,
+) -> dict[str, Any]:
+    rate = float(found.values["orbit_drift"][i])
+    return {
+        "table": "orbit_drift",
+        "aspect_ratio": k,
+        "orbit": orbit,
+        "stokes_number": stokes,
+        "rate": rate,
+        "uncertainty": float(found.errors["orbit_drift"][i]),
+        "theory": exact,
+        "rate_over_st": rate / stokes,
+        "coefficient": small,
+    }
 
 
 def _history(k: float, stokes: float) -> list[dict[str, Any]]:
@@ -163,6 +215,17 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         ],
         plot={"x": "stokes_number", "y": "rate", "by": "aspect_ratio", "points": True},
     )
+    exponents = Table(
+        "drift_exponent",
+        "Exact rates of ln C near both limits",
+        (
+            _K,
+            _ST,
+            Column("rolling", "shear rate", "near rolling (eigenvalue)", ".4e"),
+            Column("tumbling", "shear rate", "near tumbling (Floquet)", ".4e"),
+        ),
+        plot={"x": "stokes_number", "y": "tumbling", "by": "aspect_ratio"},
+    )
     coefficient = Table(
         "drift_coefficient",
         "Small-St coefficient of the drift, d(ln C)/dt = St b(C)",
@@ -186,15 +249,16 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         ),
         plot={"x": "time", "y": "orbit_constant", "by": "stokes_number"},
     )
-    return fill([rates, coefficient, history], rows)
+    return fill([rates, exponents, coefficient, history], rows)
 
 
 def figures(made: dict[str, Table]) -> dict[str, Any]:
     """Rates against St near rolling and tumbling, b(C), and C in time."""
     from qbxstokes.plots import style
 
-    rates, coefficient, history = (
-        made[name] for name in ("orbit_drift", "drift_coefficient", "orbit_history")
+    rates, exponents, coefficient, history = (
+        made[name]
+        for name in ("orbit_drift", "drift_exponent", "drift_coefficient", "orbit_history")
     )
     figure = style.new_figure(style.PAGE, 5.0)
     panels = figure.subplots(2, 2).ravel()
@@ -204,14 +268,15 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
             color, _, marker = style.LINES[index]
             chosen = (rates["aspect_ratio"] == k) & (rates["orbit"] == orbit)
             order = np.argsort(rates["stokes_number"][chosen])
-            x, y, exact = (
-                rates[name][chosen][order] for name in ("stokes_number", "rate", "theory")
-            )
+            x, y = (rates[name][chosen][order] for name in ("stokes_number", "rate"))
             fill_with = "white" if k < 1.0 else color
             panel.plot(x, np.abs(y), marker, color=color, markerfacecolor=fill_with, label=f"{k:g}")
-            panel.plot(x, np.abs(exact), color=color)
+            fine = exponents["aspect_ratio"] == k
+            x, exact = (exponents[name][fine] for name in ("stokes_number", orbit))
+            panel.plot(x, np.abs(exact), color=color, zorder=0)
+            light = x < 0.3 * heavy.relaxation_rates(k)[2]
             small = abs(rates["coefficient"][chosen][0])
-            panel.plot(x[:6], small * x[:6], color=color, linestyle=(0, (1, 1.2)))
+            panel.plot(x[light], small * x[light], color=color, linestyle=(0, (1, 1.2)), zorder=0)
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_xlabel(r"Stokes number $\mathrm{St}$")

@@ -151,7 +151,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         chosen = rates["aspect_ratio"] == k
         order = np.argsort(rates["stokes_number"][chosen])
         x = rates["stokes_number"][chosen][order]
-        fine = np.geomspace(x[0], x[-1], 40)
+        fine = np.geomspace(x[0], x[-1], 80)
         panels[0].plot(
             fine,
             [heavy.mean_rotation_rate(k, s) for s in fine],

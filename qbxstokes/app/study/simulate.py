@@ -148,12 +148,13 @@ def measure(
     position: Sequence[float] = (0.0, 0.0, 0.0),
     inertia: Inertia = "both",
     relaxed: float | None = None,
+    half_turn: float | None = None,
 ) -> Measured:
     """Averages over whole half-turns after the transient, by the rules above.
 
     values: rotation_rate, velocity_1 to _3 (means), orbit_drift (rate of ln C), position_2 (mean
     of the samples). relaxed: time that the transient takes, if it is not that of the slowest
-    relaxation.
+    relaxation. half_turn: that of the slowest body, if it is not the one of tumbling.
     """
     stokes = np.broadcast_to(np.asarray(stokes_number, dtype=float), (len(axis),))
     gradient = flow.gradient(np.asarray(position, dtype=float))
@@ -162,6 +163,7 @@ def measure(
     if float(np.min(stokes)) > 0.0 and inertia != "translation":
         # The half-turn of the lightest is the longest; heavy bodies take 2 pi at rate 1.
         longest = heavy.tumbling(k, float(np.min(stokes)) * rate).half_turn / rate
+    longest = half_turn or longest
     if relaxed is None:
         relaxed = TRANSIENT * heavy.slowest_relaxation(k, float(np.max(stokes)))
     discard = relaxed + longest
