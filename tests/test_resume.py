@@ -53,6 +53,33 @@ def test_journal_keeps_what_its_checkpoint_covers(tmp_path: Path) -> None:
     assert not again.folder.exists()
 
 
+@pytest.mark.parametrize("content", [b"", b"{", b"{}", b"[1, 2]", b"null", b"\0\xff", None])
+@pytest.mark.parametrize("name", ["rows.bin", "checkpoint.json"])
+def test_a_damaged_working_folder_is_refused(
+    name: str, content: bytes | None, tmp_path: Path
+) -> None:
+    journal = Journal(tmp_path / "a.h5")
+    journal.append("rows", np.arange(600.0).reshape(200, 3))
+    journal.save({"step": 1})
+    journal.close()
+    path = journal.folder / name
+    whole = path.read_bytes()
+    for data in (content, whole[:-1], whole[: len(whole) // 2], whole[1:]):
+        path.unlink(missing_ok=True)
+        if data is not None:
+            path.write_bytes(data)
+        with pytest.raises(CaseError, match=r"no checkpoint to go on from .*--overwrite"):
+            Journal.reopened(journal.target)
+    path.write_bytes(whole)
+    again, _ = Journal.reopened(journal.target)
+    again.append("rows", np.ones((1, 3)))
+    again.save({"step": 2})
+    again.close()
+    last, checkpoint = Journal.reopened(journal.target)
+    assert (checkpoint["step"], len(list(last.blocks()))) == (2, 2)
+    last.close()
+
+
 def same(one: Path, other: Path) -> None:
     a, b = load(one), load(other)
     for name in b.names:

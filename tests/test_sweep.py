@@ -173,6 +173,10 @@ def test_blocks_hold_every_trajectory_once_and_one_decade_each(
         ({"body.stokes_number": [1, 2], "time.end": [1]}, "different numbers of values"),
         ({"start.position": {"random": "axes", "count": 3}}, "values of start.orientation"),
         ({"start.orientation": {"random": "circle", "count": 3}}, "axes (on the sphere)"),
+        ({"start.orientation": [1, 2, 3]}, "no orientations; a list of axes"),
+        ({"start.orientation": ["up", "down"]}, "no orientations"),
+        ({"start.orientation": [{"axis": [1, 0, 0]}]}, "no orientations"),
+        ({"start.orientation": {"linspace": [0, 1], "count": 3}}, "no orientations"),
         ({"output.file": ["a", "b"]}, "output is the same for all"),
         ({"time.samples": [2, 3]}, "time.samples is the same for all"),
         ({"table": "none.csv"}, "cannot be read"),
@@ -453,6 +457,15 @@ def test_a_stopped_sweep_goes_on_where_it_was(
     assert run_command([str(changed), "--resume"]) == 2
     assert "another sweep" in capfd.readouterr().err
     path = write({"body.stokes_number": [0, 1]}, RANDOM, sweep={"block": 2})
+    for name in ("data.h5", "layout.json"):
+        whole = (folder / name).read_bytes()
+        for damaged in (b"", b"{}", b"[1, 2]", whole[:-1], whole[:100], whole[1:]):
+            (folder / name).write_bytes(damaged)
+            assert run_command([str(path), "--resume"]) == 2
+            told = capfd.readouterr().err
+            assert "--overwrite" in told
+            assert told.count("\n") == 1
+        (folder / name).write_bytes(whole)
     with h5py.File(folder / "data.h5") as file:
         offset = file["axis"].id.get_offset()
     with (folder / "data.h5").open("r+b") as stream:

@@ -307,6 +307,7 @@ def _coordinates(scenes: Scenes, layout: store.Layout) -> Iterator[tuple[int, di
 
 def _resumed(folder: Path, target: Path, everything: list[int]) -> Work:
     """What the journals of an earlier run leave to do."""
+    store.check_data(folder)
     found = store.read_journals(folder)
     todo = [number for number in everything if number not in found.blocks]
     mend = {number: sorted(failed) for number, failed in found.failed.items() if failed}

@@ -124,6 +124,11 @@ class Column:
         return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
     @property
+    def oriented(self) -> bool:
+        """Whether the values are vectors of three or four numbers."""
+        return self.numeric and self.take(np.zeros(1, dtype=int)).shape[1:] in ((3,), (4,))
+
+    @property
     def numeric(self) -> bool:
         """Whether the values are numbers or vectors of numbers."""
         return self.values is None or self.values.dtype.kind == "f"
@@ -246,6 +251,13 @@ def build_space(axes: Sequence[Mapping[str, Any]], folder: Path) -> SweepSpace:
                 where, f"its keys have different numbers of values ({lengths})", "equal numbers"
             )
         for column in columns:
+            if column.key == _ORIENTATION and not column.oriented:
+                raise SweepFault(
+                    column.where,
+                    "its values are no orientations",
+                    "a list of axes [d1, d2, d3] or of quaternions, or {random: axes, count: 10}; "
+                    "for angles sweep start.orientation.euler.phi and its like",
+                )
             for other in seen:
                 short, long = sorted((column.key, other), key=len)
                 clash = long[: len(short)] == short

@@ -1,9 +1,10 @@
 """What a long run leaves on disk before it is finished: a journal of rows and a checkpoint.
 
 Both live in the working folder `RESULT.h5.parts/`. The journal is only ever appended to; the
-checkpoint, which holds the length of the journal that belongs to it, is written to a file of its
-own and moved into place. Whatever instant a process or a machine ends at, the last checkpoint and
-the journal up to its length are whole. A run shorter than the first checkpoint leaves nothing.
+checkpoint, which holds length and checksum of the journal that belongs to it, is written to a file
+of its own and moved into place. Whatever instant a process or a machine ends at, the last
+checkpoint and the journal up to its length are whole. A run shorter than the first checkpoint
+leaves nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import os
 import shutil
 import struct
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -47,7 +49,7 @@ class Journal:
         self.target = target
         self._stream: BinaryIO | None = None
         self._waiting = bytearray()
-        self._written = 0
+        self._written = self._checksum = 0
 
     @property
     def folder(self) -> Path:
@@ -74,7 +76,8 @@ class Journal:
         try:
             os.fsync(self._stream.fileno())
             with temporary.open("w") as stream:
-                json.dump({**checkpoint, "length": self._written}, stream)
+                own = {"length": self._written, "checksum": self._checksum}
+                json.dump({**checkpoint, **own}, stream)
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(temporary, self.folder / CHECKPOINT)
@@ -113,6 +116,7 @@ class Journal:
         except OSError as error:
             raise self._unwritable(error) from None
         self._written += len(self._waiting)
+        self._checksum = zlib.crc32(self._waiting, self._checksum)
         self._waiting.clear()
 
     def _create(self) -> None:
@@ -137,17 +141,32 @@ class Journal:
         journal = cls(target)
         try:
             checkpoint = json.loads((journal.folder / CHECKPOINT).read_text())
+            length, checksum = checkpoint["length"], checkpoint["checksum"]
             stream = (journal.folder / ROWS).open("r+b")
             _lock(stream, journal.folder)
-            stream.truncate(checkpoint["length"])
-            stream.seek(checkpoint["length"])
-        except (OSError, ValueError, KeyError) as error:
+            if _checksum(stream, length) != checksum:
+                stream.close()
+                raise ValueError(f"{ROWS} is damaged")
+            stream.truncate(length)
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise CaseError(
                 f"{journal.folder}: no checkpoint to go on from ({error}); begin anew with "
                 "--overwrite"
             ) from None
-        journal._stream, journal._written = stream, checkpoint["length"]
+        journal._stream, journal._written, journal._checksum = stream, length, checksum
         return journal, checkpoint
+
+
+def _checksum(stream: BinaryIO, length: int) -> int | None:
+    """Checksum of the first bytes of a file, which stands after them then; None if too short."""
+    value = 0
+    while length > 0:
+        piece = stream.read(min(length, 2**24))
+        if not piece:
+            return None
+        value = zlib.crc32(piece, value)
+        length -= len(piece)
+    return value
 
 
 def _block(name: bytes, data: bytes, columns: int) -> tuple[str, Array]:

@@ -307,8 +307,18 @@ def runs(rows: Array) -> list[tuple[int, int]]:
 
 def open_layout(folder: Path, layout: Layout) -> WholeFile:
     """The file of a working folder."""
-    head = json.loads((folder / LAYOUT).read_text())
-    return WholeFile(folder / DATA, head["offsets"], layout)
+    return WholeFile(folder / DATA, _head(folder)["offsets"], layout)
+
+
+def _head(folder: Path) -> dict[str, Any]:
+    """Digest and offsets of a working folder; raises ResultFileError if they cannot be read."""
+    try:
+        head = json.loads((folder / LAYOUT).read_text())
+        return {name: head[name] for name in ("digest", "offsets")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ResultFileError(
+            f"{folder / LAYOUT}: is damaged ({error}); begin anew with --overwrite"
+        ) from None
 
 
 class Journal:
@@ -370,7 +380,16 @@ def unfinished(names: Iterable[Path]) -> Path | None:
 
 def digest_in(folder: Path) -> str:
     """Digest of the sweep that a working folder belongs to."""
-    return str(json.loads((folder / LAYOUT).read_text())["digest"])
+    return str(_head(folder)["digest"])
+
+
+def check_data(folder: Path) -> None:
+    """Refuse a working folder whose file is not the one that was laid out; ResultFileError."""
+    offsets, _ = offsets_of(folder / DATA)
+    if offsets != _head(folder)["offsets"]:
+        raise ResultFileError(
+            f"{folder / DATA}: is not the file that was laid out; begin anew with --overwrite"
+        )
 
 
 def offsets_of(path: Path) -> tuple[dict[str, int], str]:
