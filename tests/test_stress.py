@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from qbxstokes.__main__ import main
@@ -80,8 +81,13 @@ def test_a_bound_that_is_exceeded_makes_the_run_fail_and_is_named(
     assert "passed" in told.out
     result = load(tmp_path / "case.h5")
     # The other table was made and everything is kept.
-    assert list(result.tables) == ["broken", "torque_free"]
+    assert list(result.tables) == ["broken", "torque_free", "worst_cases"]
     assert result.tables["broken"]["passed"].tolist() == [True, False, False]
+    worst = result.tables["worst_cases"]
+    assert worst["passed"].tolist() == [False, True]
+    assert worst["checks"].tolist() == [3, len(result.tables["torque_free"])]
+    assert np.isinf(worst["worst"][0])
+    assert worst["met"][0] == "what nan"
     assert (tmp_path / "case_torque_free.csv").exists()
 
 

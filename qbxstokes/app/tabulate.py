@@ -1,8 +1,9 @@
 """Tasks that make tables: run their makers, print and store what they give, check the bounds.
 
 A maker is a module with a function `tables(work)` that yields tables; its registry (one dictionary
-per task) names it. A table may have a column `passed`: a row where it is false fails the run, and
-the text of its first columns says which.
+per task) names it. Beside the registry, `SUMMARY` may name a module with a function
+`summary(tables)`, which makes the last table where a run has several. A table may have a column
+`passed`: a row where it is false fails the run, and the text of its first columns says which.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import argparse
 import inspect
 import json
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -57,23 +57,19 @@ Maker = Callable[[Work], Iterator[Table]]
 
 @dataclass(frozen=True)
 class TablesPlan:
-    """Makers by name, and where the result goes."""
+    """Makers by name, where the result goes, and the module of a summary ("" for none)."""
 
     makers: dict[str, str]
     output: Path
-
-
-def registry(task: str) -> dict[str, str]:
-    """Name of every table of a task -> module that makes it."""
-    makers: dict[str, str] = import_module(f"qbxstokes.app.{task}").MAKERS
-    return makers
+    summary: str = ""
 
 
 def plan_tables(loaded: LoadedCase, overwrite: bool) -> TablesPlan:
     """The makers that the case asks for; raises CaseError for names that are none."""
     task = loaded.case.task
     section: Tables = getattr(loaded.case, task)
-    known = registry(task)
+    package = import_module(f"qbxstokes.app.{task}")
+    known: dict[str, str] = package.MAKERS
     for index, name in enumerate(section.tables or ()):
         if name not in known:
             close = nearest(name, list(known))
@@ -87,7 +83,8 @@ def plan_tables(loaded: LoadedCase, overwrite: bool) -> TablesPlan:
         raise loaded.error("output.file", str(error)) from None
     if not overwrite:
         output = free_name(output)
-    return TablesPlan({name: known[name] for name in section.tables or known}, output)
+    makers = {name: known[name] for name in section.tables or known}
+    return TablesPlan(makers, output, getattr(package, "SUMMARY", ""))
 
 
 def run_tables(
@@ -147,23 +144,29 @@ def _compute(
     files: list[str] = []
     replace = options.overwrite or loaded.case.output.overwrite
     with ResultWriter(plan.output, task, record, replace) as writer:
+
+        def keep(table: Table) -> None:
+            if speak:  # the provenance, the same for all, comes at the end
+                print(f"\n{table.to_text(WIDTH)}", flush=True)
+            table.provenance = made_by(record, loaded)
+            made.append(table)
+            table.write_hdf5(writer.file)
+            files.extend(_beside(plan.output, section, table))
+
         for name, module in plan.makers.items():
             with clock.part(name):
                 maker: Maker = import_module(module).tables
                 try:
                     for table in maker(Work(section, ranks, say)):
-                        if speak:  # the provenance, the same for all, comes at the end
-                            print(f"\n{table.to_text(WIDTH)}", flush=True)
-                        table.provenance = made_by(record, loaded)
-                        made.append(table)
-                        table.write_hdf5(writer.file)
-                        files += _beside(plan.output, section, table)
+                        keep(table)
                         failures += [f"{task} {reason}" for reason in failed_rows(table)]
                 except QbxStokesError as error:
                     failures.append(f"{task} {name}: {error}")
                 except Exception as error:  # the other tables are still wanted
                     print(traceback.format_exc(), file=sys.stderr, flush=True)
                     failures.append(f"{task} {name}: {type(error).__name__}: {error}")
+        if plan.summary and len(made) > 1:
+            keep(import_module(plan.summary).summary(made))
         summary: dict[str, Any] = {
             "tables": [table.name for table in made],
             "failures": failures,
@@ -246,14 +249,3 @@ def _closing(summary: dict[str, Any], result: Path, made: dict[str, str]) -> str
     if summary["files"]:
         rows.insert(1, ("", f"and {len(summary['files'])} files beside it"))
     return "\n".join([block("Times", [("", spent)]), block("Result", rows)])
-
-
-def median_time(action: Callable[[], Any], repeats: int) -> float:
-    """Median of the wall times of an action, in seconds, after one run that is not counted."""
-    action()
-    spans = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        action()
-        spans.append(time.perf_counter() - begin)
-    return sorted(spans)[len(spans) // 2]

@@ -79,11 +79,7 @@ def orbit_drift_coefficient(k: float, constant: float) -> float:
     for C infinite the rate of ln |d3| is that of a small d3.
     """
     d, g = jeffery_orbit(k, constant)
-    moments, (turning, _) = inertia(k), jeffery.rotation_resistance(k)
-    second = _along(k, d, g)
-    second = second - d * np.sum(d * second, axis=-1, keepdims=True)
-    spin = -0.5 * d[:, 2:]
-    change = -(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning
+    change = lag(k, d, g)
     plane = d[:, 1] ** 2 + k * k * d[:, 0] ** 2
     moved = (d[:, 1] * change[:, 1] + k * k * d[:, 0] * change[:, 0]) / plane
     if np.isinf(constant):
@@ -92,9 +88,38 @@ def orbit_drift_coefficient(k: float, constant: float) -> float:
         steepening = shape(k) * (g[:, 0] * d[:, 1] + d[:, 0] * g[:, 1])
         turn = d[:, 0] * g[:, 1] - d[:, 1] * g[:, 0]
         third = turn**2 + pull**2 - steepening
+        moments, (turning, _) = inertia(k), jeffery.rotation_resistance(k)
         sinking = (moments[0] * third + 0.5 * moments[2] * turn) / turning
         return float(np.mean(moved + sinking))
     return float(np.mean(moved - change[:, 2] / d[:, 2]))
+
+
+def lag(k: float, d: Array, g: Array) -> Array:
+    """What inertia adds to the rate g of the axis d, (..., 3), per Stokes number as it goes to 0.
+
+    -(J1 P g' + J3 s g x d)/R, with the spin s of Jeffery's body.
+    """
+    moments, (turning, _) = inertia(k), jeffery.rotation_resistance(k)
+    second = _along(k, d, g)
+    second = second - d * np.sum(d * second, axis=-1, keepdims=True)
+    spin = -0.5 * d[..., 2:]
+    return np.asarray(-(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning)
+
+
+def light_axis(k: float, stokes_number: float, axis: Array, times: Array) -> Array:
+    """The axis (T, 3) of a body of small Stokes number, to first order in it, without its layer.
+
+    It starts at times[0] as `axis`; d' = g + St lag is not stiff and goes to DOP853.
+    """
+    from scipy.integrate import solve_ivp
+
+    def rate(_: float, d: Array) -> Array:
+        g = jeffery_rate(k, d)
+        return np.asarray(g + stokes_number * lag(k, d, g))
+
+    span = (float(times[0]), float(times[-1]))
+    found = solve_ivp(rate, span, axis, "DOP853", times, rtol=1e-12, atol=1e-12)
+    return np.asarray(found.y.T)
 
 
 def _along(k: float, d: Array, g: Array) -> Array:

@@ -16,3 +16,5 @@ MAKERS: dict[str, str] = {
         "torque_free",
     )
 }
+# Makes one more table of all that were made.
+SUMMARY = "qbxstokes.app.stress.summary"
