@@ -1,12 +1,11 @@
 """What a sweep costs: time, memory, and how it scales with the number of ranks.
 
-    T(P) = models/min(P, bodies) + (integration + samples + hand-out)/P + last block + layout
+    T(P) = models/min(P, bodies) + (integration + output)/P + hand-out + last block/2 + layout
 
 with integration = trajectories x right-hand sides x time of one; the number of right-hand sides
 follows from the horizon in shear times, and the tolerance of a step by the order of the formula.
-The constants are processor times on one core of a 2 GHz Intel Xeon (Sapphire Rapids): measured are
-a right-hand side of both kinds in linear flow and of inertial bodies in quadratic flow, steps, the
-hand-out between two ranks, stored bytes and layout; the others are extrapolated.
+One rank lays the file out and serves the hand-out, to one rank after another. Start-up is left out,
+and so is what a file system shared by many nodes adds.
 """
 
 from __future__ import annotations
@@ -17,21 +16,51 @@ import numpy as np
 
 from qbxstokes.app.scenes import BLOCK_BYTES, Scenes
 
-# Seconds per trajectory and right-hand side: massless and inertial, by degree of the flow (0, 1;
-# 2; 3), and for a flow that is not polynomial.
-RHS_SECONDS = {False: (1.1e-7, 1.3e-7, 2.5e-7), True: (1.7e-7, 1.9e-7, 3.5e-7)}
-GENERAL_RHS_SECONDS = 5e-5
-# Overhead of one call of the right-hand side, whatever the block holds.
-CALL_SECONDS = 1.5e-5
-# Steps per shear time at local tolerance 1 of the formula of order 8 (massless, inertial), and
-# its stages.
-STEP_FACTOR = {False: 0.3, True: 0.7}
 STAGES = 13
-SAMPLE_SECONDS = 6e-7
-STORED_BYTE_SECONDS = 1.0e-9
-HANDOUT_SECONDS = 5e-6
-LAYOUT_SECONDS_PER_TRAJECTORY = 5e-7
-MODEL_SECONDS = 0.7
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Processor times on one core (s), and steps of the formula of order 8.
+
+    rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
+    flow (constant or linear, quadratic, cubic), and in any other flow. call: per right-hand side of
+    a block, whatever it holds. steps_*: per shear time at local tolerance 1. sample: per sample of
+    a trajectory. stored_byte: of the result. handout: of a block, one after another. layout: per
+    trajectory, on one rank. model: of a body's hydrodynamics.
+    """
+
+    rhs_massless_linear: float = 1.1e-7
+    rhs_massless_quadratic: float = 1.3e-7
+    rhs_massless_cubic: float = 2.5e-7
+    rhs_inertial_linear: float = 1.7e-7
+    rhs_inertial_quadratic: float = 1.9e-7
+    rhs_inertial_cubic: float = 3.5e-7
+    rhs_general: float = 5e-5
+    call: float = 1.5e-5
+    steps_massless: float = 0.3
+    steps_inertial: float = 0.7
+    sample: float = 6e-7
+    stored_byte: float = 1.0e-9
+    handout: float = 5e-6
+    layout: float = 5e-7
+    model: float = 0.7
+
+    def rhs(self, inertial: bool, degree: int | None) -> float:
+        """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
+        if degree is None or degree > 3:
+            return self.rhs_general
+        kind = "inertial" if inertial else "massless"
+        name = ("linear", "linear", "quadratic", "cubic")[degree]
+        return float(getattr(self, f"rhs_{kind}_{name}"))
+
+    def steps(self, inertial: bool) -> float:
+        """Steps per shear time at local tolerance 1."""
+        return self.steps_inertial if inertial else self.steps_massless
+
+
+# On a 2 GHz Intel Xeon (Sapphire Rapids); the benchmark table `sweep_constants` measures them.
+XEON = Constants()
 BASE_MEMORY = 150e6
 
 
@@ -55,13 +84,21 @@ class Estimate:
 
     def seconds(self, ranks: int) -> float:
         """Wall time on a number of ranks."""
-        shared = self.integration + self.output + self.handout
-        models = self.models / min(ranks, max(self.bodies, 1))
-        tail = 0.0 if ranks == 1 else 0.5 * self.last_block
-        return models + shared / ranks + tail + self.layout
+        return sum(self.parts(ranks).values())
+
+    def parts(self, ranks: int) -> dict[str, float]:
+        """Seconds on a number of ranks by what takes them."""
+        return {
+            "models": self.models / min(ranks, max(self.bodies, 1)),
+            "integration": self.integration / ranks,
+            "output": self.output / ranks,
+            "hand-out": self.handout,
+            "last block": 0.0 if ranks == 1 else 0.5 * self.last_block,
+            "layout": self.layout,
+        }
 
 
-def scene_weight(scenes: Scenes, number: int) -> float:
+def scene_weight(scenes: Scenes, number: int, constants: Constants = XEON) -> float:
     """Right-hand sides that one trajectory of a scene will take."""
     scene = scenes.scene(number)
     case, plan = scene.loaded.case, scene.plan
@@ -71,11 +108,11 @@ def scene_weight(scenes: Scenes, number: int) -> float:
     gradient = scene.loaded.flow.gradient(plan.position)
     shear_times = max(1.0, float(plan.times[-1]) * float(np.linalg.norm(gradient)))
     local = max(case.time.tolerance / slenderness**2, 2e-15)
-    steps = STEP_FACTOR[case.body.stokes_number > 0] * shear_times * local ** (-1.0 / 8.0)
+    steps = constants.steps(case.body.stokes_number > 0) * shear_times * local ** (-1.0 / 8.0)
     return STAGES * (steps + len(plan.times))
 
 
-def weights(scenes: Scenes, most: int = 200) -> np.ndarray:
+def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:
     """Right-hand sides per trajectory of every scene; those of a sample where there are many."""
     from qbxstokes.errors import QbxStokesError
 
@@ -83,38 +120,33 @@ def weights(scenes: Scenes, most: int = 200) -> np.ndarray:
     values = []
     for number in known.tolist():
         try:
-            values.append(scene_weight(scenes, number))
+            values.append(scene_weight(scenes, number, constants))
         except QbxStokesError:  # told again, with its trajectories, when its turn comes
             values.append(1.0)
     return np.asarray(np.interp(np.arange(scenes.size), known, values))
 
 
-def block_seconds(scenes: Scenes) -> np.ndarray:
+def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
     """Integration time of every block."""
     case, flow = scenes.loaded.case, scenes.loaded.flow
-    inertial = case.body.stokes_number > 0
-    if flow.degree is None or flow.degree > 3:
-        seconds = GENERAL_RHS_SECONDS
-    else:
-        seconds = RHS_SECONDS[inertial][max(flow.degree - 1, 0)]
-    calls = weights(scenes)[scenes.scene_of_block()]
-    return np.asarray(calls * (scenes.block_sizes() * seconds + CALL_SECONDS))
+    seconds = constants.rhs(case.body.stokes_number > 0, flow.degree)
+    calls = weights(scenes, constants)[scenes.scene_of_block()]
+    return np.asarray(calls * (scenes.block_sizes() * seconds + constants.call))
 
 
-def estimate(scenes: Scenes, row_bytes: int) -> Estimate:
+def estimate(scenes: Scenes, row_bytes: int, constants: Constants = XEON) -> Estimate:
     """Cost of the whole sweep."""
-    sizes, per_block = scenes.block_sizes(), block_seconds(scenes)
+    sizes, per_block = scenes.block_sizes(), block_seconds(scenes, constants)
     n = scenes.space.size
-    output = n * (row_bytes * STORED_BYTE_SECONDS + scenes.samples * SAMPLE_SECONDS)
     bodies = len(scenes.bodies[1])
     held = 8 * scenes.samples * int(sizes.max()) * 60
     return Estimate(
-        models=bodies * MODEL_SECONDS,
+        models=bodies * constants.model,
         bodies=bodies,
         integration=float(per_block.sum()),
-        output=output,
-        handout=scenes.blocks * HANDOUT_SECONDS,
+        output=n * (row_bytes * constants.stored_byte + scenes.samples * constants.sample),
+        handout=scenes.blocks * constants.handout,
         last_block=float(per_block.max()),
-        layout=n * LAYOUT_SECONDS_PER_TRAJECTORY,
+        layout=n * constants.layout,
         memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 24.0 * scenes.blocks,
     )
