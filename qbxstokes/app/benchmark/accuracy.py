@@ -139,6 +139,7 @@ def _honesty(count: int, say: Any) -> Table:
             Column("within_100", "", "share of samples with the ratio in [1/100, 100]", ".2f"),
             Column("passed", "", "no sample missed and most estimates within 100"),
         ),
+        plot={"x": "tolerance", "y": "worst", "scale": "loglog"},
     )
     rng = np.random.default_rng(1)
     samples = [random_sample(rng) for _ in range(count)]
@@ -190,6 +191,7 @@ def _thinness() -> Table:
             Column("rounding", "", "part of the estimate that no refinement lowers", ".1e"),
             Column("passed", "", "the estimate is not below half the error"),
         ),
+        plot={"x": "aspect_ratio", "y": ["error", "estimate", "rounding"], "scale": "loglog"},
     )
     for k in (1e-3, 1 / 300, 1e-2, 0.02, 0.1, 0.5, 1.0, 2.0, 10.0, 50.0, 100.0, 300.0, 1000.0):
         body = accurate_body(Spheroid(k), 1e-10, strict=False)

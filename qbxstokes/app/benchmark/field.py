@@ -25,34 +25,49 @@ def tables(work: Work) -> Iterator[Table]:
             Column("targets", "", "", "d"),
             Column("error", "", "largest, over the speed", ".0e"),
             Column("seconds", "s", "set-up and all targets", ".3g", "time"),
+            Column("passed", "", "the error is below the tolerance"),
         ),
+        plot={"x": "aspect_ratio", "y": "error", "by": ["problem", "tolerance"]},
     )
     work.say("field, accuracy")
     targets = work.choose(2000, 1_000_000)
     ratios = work.choose((0.5,), field_benchmark.ASPECT_RATIOS)
     tolerances = work.choose((1e-8,), field_benchmark.TOLERANCES)
+    field_benchmark.uniform_accuracy(ratios[:1], tolerances[:1], 100)  # loads what is compiled
     for row in field_benchmark.uniform_accuracy(ratios, tolerances, targets):
-        accuracy.add(**{name: row[name] for name in accuracy.names})
+        known = {name: row[name] for name in accuracy.names if name != "passed"}
+        accuracy.add(**known, passed=row["error"] <= row["tolerance"])
     yield accuracy
     work.say("field, costs")
     distances = work.choose((1e-2, 3.0), field_benchmark.DISTANCES)
     rows = field_benchmark.costs(0.5, distances, tolerances)
-    columns = [Column(name, **_COSTS.get(name, {})) for name in rows[0]]
-    costs = Table("field_costs", "Field: microseconds per target (k = 1/2)", tuple(columns))
+    costs = Table(
+        "field_costs",
+        "Field: time per target over the distance (k = 1/2)",
+        (
+            Column("distance", "c", "from the surface", ".0e"),
+            Column("tolerance", "", "asked for", ".0e"),
+            Column("table", "us", "by the table of harmonics", ".3g"),
+            Column("quadrature", "us", "by the quadrature chosen for the distance", ".3g"),
+            Column("method", "", "of that quadrature"),
+            Column("plain", "us", "by plain upsampling", ".3g"),
+            Column("upsampling", "", "that it takes; none: more than 32, or impossible", ".0f"),
+            Column("ratio", "", "plain upsampling over the table", ".3g"),
+        ),
+        plot={
+            "x": "distance",
+            "y": ["table", "quadrature", "plain"],
+            "by": "tolerance",
+            "scale": "loglog",
+        },
+    )
     for row in rows:
-        costs.add(**{name: _finite(value) for name, value in row.items()})
+        known = {name: _finite(row[name]) for name in costs.names if name != "ratio"}
+        plain = known["plain"]
+        costs.add(**known, ratio=None if plain is None else plain / row["table"])
     yield costs
 
 
 def _finite(value: Any) -> Any:
     """What cannot be reached has no cost."""
     return None if isinstance(value, float) and math.isinf(value) else value
-
-
-_COSTS = {
-    "distance": {"unit": "c", "format": ".0e", "description": "from the surface"},
-    "tolerance": {"format": ".0e", "description": "asked for"},
-    "table": {"unit": "us", "description": "by the table of harmonics"},
-    "quadrature": {"unit": "us", "description": "by quadrature chosen per target"},
-    "plain": {"unit": "us", "description": "by plain upsampling"},
-}

@@ -36,6 +36,7 @@ def tables(work: Work) -> Iterator[Table]:
             Column("residual", "", "true relative residual", ".0e"),
             Column("passed", "", "both within ten times the tolerance, or what rounding allows"),
         ),
+        plot={"x": "aspect_ratio", "y": ["plain", "preconditioned"], "by": "problem"},
     )
     scheme = choose_scheme(1e-12, 10)
     ratios = work.choose((0.1, 2.0), (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0))

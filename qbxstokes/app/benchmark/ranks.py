@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING
 
 from qbxstokes.app.benchmark.command import run
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 CASE = """\
 body: {{aspect_ratio: 0.5}}
 flow: {{type: shear}}
-time: {{periods: 2, samples: 5, tolerance: 1e-9}}
+time: {{periods: 20, samples: 5, tolerance: 1e-9}}
 sweep:
   axes:
     - start.orientation: {{random: axes, count: {count}, seed: 1}}
@@ -28,7 +29,7 @@ sweep:
 
 def tables(work: Work) -> Iterator[Table]:
     """Wall time of the whole command on one and two ranks, and the part that is shared."""
-    count = work.choose(64, 40_000)
+    count = work.choose(64, 30_000)
     table = Table(
         "ranks",
         f"A sweep of {count} trajectories on one and two ranks",
@@ -38,6 +39,7 @@ def tables(work: Work) -> Iterator[Table]:
             Column("start", "s", "the same for a sweep of two trajectories", ".2f"),
             Column("speedup", "", "of what lies between them", ".2f"),
             Column("efficiency", "", "speed-up over ranks", ".2f"),
+            Column("memory", "MB", "largest resident memory of a rank", ".0f"),
         ),
         notes=[f"{os.cpu_count()} cores; start-up and set-up are subtracted for the speed-up."],
     )
@@ -58,11 +60,12 @@ def tables(work: Work) -> Iterator[Table]:
             for stem in ("few", "many"):
                 words = [launcher, "-n", str(ranks), sys.executable, "-m", "qbxstokes"]
                 words += [f"{stem}.yaml", "--overwrite", "--quiet", "--progress", "none"]
-                times = []
-                for turn in range(work.choose(1, 3)):
+                ended = []
+                for turn in range(work.choose(1, 2 if stem == "many" else 3)):
                     work.say(f"{ranks} ranks, {stem}, turn {turn + 1}")
-                    times.append(run(words, folder))
-                spans[stem] = sorted(times)[len(times) // 2]
+                    ended.append(run(words, folder))
+                spans[stem] = median(process.time for process in ended)
+            memory = run(words, folder, watched=True).memory
             shared = spans["many"] - spans["few"]
             base = base or shared
             # Work shorter than the scatter of the start-up has no speed-up to speak of.
@@ -73,5 +76,6 @@ def tables(work: Work) -> Iterator[Table]:
                 start=spans["few"],
                 speedup=base / shared if known else None,
                 efficiency=base / shared / ranks if known else None,
+                memory=memory,
             )
     yield table

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.app.benchmark.step import seconds_each
+from qbxstokes.app.benchmark.timing import seconds_each
 from qbxstokes.bie.field import resistance_disturbance
 from qbxstokes.bie.operators import form_body_model, surface_operators
 from qbxstokes.flows.named import Shear
@@ -134,6 +134,7 @@ def tables(work: Work) -> Iterator[Table]:
             Column("time", "ms", "median wall time", ".3g"),
             Column("ratio", "", "over the smallest size", ".3g"),
         ),
+        plot={"x": "size", "y": "time", "by": ["what", "parameter"], "scale": "loglog"},
     )
     fits = Table(
         "scaling",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from qbxstokes.app.benchmark.timing import seconds_each
 from qbxstokes.bie.accuracy import accurate_body
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 ASPECT_RATIO = 0.5
 BLOCK = 4096
-SECONDS = 0.05  # spent on one timing
 
 
 def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
@@ -47,21 +46,6 @@ def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
     )
 
 
-def seconds_each(action: Callable[[], Any], repeats: int) -> float:
-    """Median over the repeats of the time of one call, each measured over many calls."""
-    action()
-    begin = time.perf_counter()
-    action()
-    count = max(1, int(SECONDS / max(time.perf_counter() - begin, 1e-7)))
-    spans = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        for _ in range(count):
-            action()
-        spans.append((time.perf_counter() - begin) / count)
-    return sorted(spans)[len(spans) // 2]
-
-
 def tables(work: Work) -> Iterator[Table]:
     """Microseconds of one right-hand side of one body, over those of the closed form."""
     from qbxstokes.petsc.gmres import GmresSolver
@@ -74,8 +58,9 @@ def tables(work: Work) -> Iterator[Table]:
             Column("time", "us", "wall time per body and right-hand side", ".3g"),
             Column("ratio", "", "over the closed form in the same run", ".3g"),
             Column("difference", "", "largest, from the closed form", ".0e"),
+            Column("iterations", "", "of GMRES", "d"),
         ),
-        plot={"x": "evaluation", "y": "time"},
+        plot={"x": "evaluation", "y": "time", "scale": "semilogy"},
     )
     k, repeats = ASPECT_RATIO, work.choose(1, work.section.repeats)
     flow = build_flow({"type": "shear"})
@@ -87,32 +72,39 @@ def tables(work: Work) -> Iterator[Table]:
     y = [0.1, 0.2, 0.3, *q.tolist()]
     exact = np.array(closed_form(y, (1.0 - k * k) / (1.0 + k * k)))
 
+    solvers: list[GmresSolver] = []
+
     def gmres(operator: Any, grid: Any) -> GmresSolver:
-        return GmresSolver(operator, grid, 1e-12)
+        solvers.append(GmresSolver(operator, grid, 1e-12))
+        return solvers[-1]
 
     table_single = RigidBodyEquations(body.model, polynomial)
     entries: list[tuple[str, Callable[[], Any], int]] = [
         ("closed form", lambda: closed_form(y, (1.0 - k * k) / (1.0 + k * k)), 1),
-        ("table on monomials", lambda: table_single.rate_of_rows(0.0, y), 1),
+        ("table, plain Python", lambda: table_single.rate_of_rows(0.0, y), 1),
     ]
+    for bodies in (1, BLOCK):
+        compiled = RigidBodyEquations(body.model, polynomial, 0.0, bodies, evaluation="compiled")
+        name = f"table, compiled, {bodies} bod{'ies' if bodies > 1 else 'y'}"
+        entries.append((name, _rates(compiled, y), bodies))
     for name, provider in (
         ("functional on the grid", GridMotion(body.functional.on_grid(6), flow)),
         ("solve at every step", SolveMotion(operators, flow, gmres)),
     ):
         entries.append((name, _rates(RigidBodyEquations(body.model, provider), y), 1))
-    block = RigidBodyEquations(body.model, polynomial, 0.0, BLOCK, evaluation="compiled")
-    entries.append((f"table, compiled, {BLOCK} bodies", _rates(block, y), BLOCK))
     base = 0.0
     for name, action, bodies in entries:
         work.say(name)
         rate = np.asarray(action(), dtype=float).reshape(7, -1)[:, 0]
         span = seconds_each(action, repeats) / bodies
         base = base or span
+        solved = name.startswith("solve")
         table.add(
             evaluation=name,
             time=1e6 * span,
             ratio=span / base,
             difference=float(np.abs(rate - exact).max()),
+            iterations=solvers[-1].records[-1].iterations if solved else None,
         )
     yield table
 
