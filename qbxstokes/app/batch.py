@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.app import handout
 from qbxstokes.app.clock import Clock
+from qbxstokes.app.compilation import compilation_told
 from qbxstokes.app.handout import HandOut
 from qbxstokes.app.interrupt import Interruption
 from qbxstokes.app.parallel import on_root
@@ -40,6 +41,7 @@ from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
 Array = NDArray[Any]
 
 _COORDINATE_PIECE = 65_536
+_PATIENCE = 1.0  # seconds between what is said of the bodies
 
 
 @dataclass
@@ -141,14 +143,15 @@ def run_sweep(
         with clock.part("output"):
             _verify(comm, scenes, layout, work)
     counters = HandOut(comm)
+    speak = comm.rank == 0 and not options.quiet and options.progress != "none"
     with clock.part("models"):
-        models = _models(comm, scenes, work, counters, options.no_cache)
+        models = _models(comm, scenes, work, counters, options.no_cache, speak)
     progress = None
     if comm.rank == 0 and not options.quiet:
         progress = Progress(scenes.space.size, options.progress, comm.size)
     begin = time.perf_counter()
     try:
-        with Interruption() as interruption:
+        with Interruption() as interruption, compilation_told(comm, speak):
             interruption.listening = True
             team = Team(comm, counters, progress, interruption, work)
             _blocks(team, scenes, layout, work, models, clock)
@@ -380,10 +383,13 @@ class Models:
     errors: dict[int, QbxStokesError]
 
 
-def _models(comm: Any, scenes: Scenes, work: Work, counters: HandOut, no_cache: bool) -> Models:
+def _models(
+    comm: Any, scenes: Scenes, work: Work, counters: HandOut, no_cache: bool, speak: bool
+) -> Models:
     """Form the bodies that this run needs, each by whichever rank is free, known to all.
 
-    A body that cannot be formed is noted with the error, which its trajectories then report.
+    speak: whether to say on standard error how far it is, where it takes more than a moment. A
+    body that cannot be formed is noted with the error, which its trajectories then report.
     """
     from qbxstokes.app.body import form_hydrodynamics, open_cache
     from qbxstokes.petsc import session
@@ -394,8 +400,13 @@ def _models(comm: Any, scenes: Scenes, work: Work, counters: HandOut, no_cache: 
     # Options of the solver want to be seen at work.
     no_cache = no_cache or bool(session.solver_options(session.start()))
     models = Models(SharedCache(open_cache(scenes.loaded, no_cache).folder), {})
+    told = time.monotonic()
     while (place := counters.next(handout.MODELS)) < len(needed):
         number = needed[place]
+        if speak and time.monotonic() > told + _PATIENCE:
+            told = time.monotonic()
+            text = f"qbxstokes: forming bodies, {place + 1} of {len(needed)}"
+            print(text, file=sys.stderr, flush=True)
         try:
             scene = scenes.scene(representatives[number])
             form_hydrodynamics(scene.loaded, scene.plan, cache=models.cache)

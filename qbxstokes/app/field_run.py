@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes.app.clock import Clock
+from qbxstokes.app.compilation import compilation_told
 from qbxstokes.app.field import FieldPlan, run_field
 from qbxstokes.app.plan import result_path
 from qbxstokes.app.report import (
@@ -50,7 +51,8 @@ def run_field_case(
 
         PETSc = session.start(petsc, loaded.case.petsc)
     record = provenance(loaded, PETSc, comm.size, petsc)
-    summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
+    with compilation_told(comm, not options.quiet):
+        summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
     unused = session.unused_options(PETSc)
     error = comm.bcast(summary.get("largest_error"))
     if comm.rank == 0:

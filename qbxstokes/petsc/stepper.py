@@ -37,20 +37,13 @@ from petsc4py import PETSc
 from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast
 
 Array = NDArray[np.float64]
 
-# Smallest local tolerance: below it the error estimate is rounding.
-FLOOR = 2e-15
 # Formulas whose own interpolant is as good as the steps (measured, tests/test_stepper.py).
 INTERPOLANT_SUFFICES = ("5dp", "bdf")
-EXPLICIT_TYPES = ("rk",)
 RK_FORMULAS = ("5dp", "8vr")
-# Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
-LOOSE = 1e-6
-# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF.
-STAGES = 13
-IMPLICIT_COST = 50
 # Fewest steps of BDF between two cuts, unless so many samples wait.
 BDF_STEPS = 1000
 BDF_SAMPLES = 20_000
@@ -244,7 +237,7 @@ class _Run:
         self._largest = 0.0
         self.counter = _Counter(checkpoint.evaluations, checkpoint.jacobians)
         self._prefix, self._end = prefix, float(times[-1])
-        self._guide = _Guide(equations, checkpoint, self._end, tolerance)
+        self._guide = Forecast(equations, checkpoint.time, checkpoint.state, self._end, tolerance)
         self._wanted = checkpoint.method or method or self._guide.method
         self._native: Any = None
         database = PETSc.Options()
@@ -684,59 +677,3 @@ class _Options:
             database.delValue(name)
             if value is not None:
                 database.setValue(name, value)
-
-
-class _Guide:
-    """What can be told of a run before it starts: local tolerance, method, and how long it is.
-
-    The constants were measured in shear flow, k from 1/50 to 50, St from 1e-6 to 10.
-    """
-
-    def __init__(
-        self, equations: RigidBodyEquations, start: Checkpoint, end: float, tolerance: float
-    ) -> None:
-        self._sensitivity = equations.sensitivity(start.time, start.state, end - start.time)
-        self._asked = tolerance
-        self._span = (end - start.time) * float(
-            np.max(equations.time_rate(start.time, start.state))
-        )
-        self._stiff_span = (end - start.time) * float(np.max(equations.stiffness))
-
-    def tolerance(self, kind: str) -> float:
-        """Error of a step that leads to the tolerance at the end.
-
-        BDF controls the order that it propagates: its global error goes as the local tolerance to
-        the power 6/7. With the factors here the error after ten periods was 0.04 to 3 times the
-        one asked for.
-        """
-        share = self._asked / self._sensitivity
-        if kind == "bdf":
-            share = (0.5 * share) ** (7.0 / 6.0)
-        elif kind == "arkimex":
-            share *= 0.25
-        return max(share, FLOOR)
-
-    def steps(self, kind: str) -> float:
-        """Steps that accuracy needs and, for an explicit formula, the relaxation.
-
-        There 8vr is stable for rate times h up to 4.8, but the error it makes in following the
-        flow with a lag of 1/rate keeps it below that.
-        """
-        tolerance = self.tolerance(kind)
-        accurate = self._span * tolerance ** (-1.0 / 8.0)
-        if kind not in EXPLICIT_TYPES:
-            return 1.6 * accurate
-        lag = tolerance * self._stiff_span / self._span if self._span > 0.0 else 0.0
-        reach = min(4.8, 12.0 * lag ** (1.0 / 8.0))
-        return max(0.11 * accurate, self._stiff_span / reach if reach > 0.0 else 0.0)
-
-    def evaluations(self, kind: str) -> float:
-        """Right-hand sides, with each Jacobian counted as so many."""
-        return self.steps(kind) * (STAGES if kind in EXPLICIT_TYPES else IMPLICIT_COST)
-
-    @property
-    def method(self) -> str:
-        """The cheapest method: BDF where stability alone would set an explicit step."""
-        if self.evaluations("bdf") < self.evaluations("rk"):
-            return "bdf"
-        return "5dp" if self.tolerance("rk") > LOOSE else "8vr"
