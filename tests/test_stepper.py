@@ -19,6 +19,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import diagnostics
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
+from qbxstokes.motion.forecast import Forecast
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.native import native_rate
 from qbxstokes.petsc.stepper import Checkpoint, Chunk, Step, integrate
@@ -427,3 +428,16 @@ def test_compiled_blocks_leave_the_hdf5_of_h5py_alone():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("k", "stokes_number"), [(0.2, 0.0), (0.5, 0.1), (2.0, 0.1), (0.2, 1.0), (0.5, 100.0)]
+)
+def test_the_forecast_tells_method_and_steps(k: float, stokes_number: float) -> None:
+    """What the dry run of a sweep builds its time on: within a factor of 2."""
+    equations = RigidBodyEquations(exact_model(k), paraboloid(0.05), stokes_number)
+    start = equations.initial_state((0.0, 10.0, 0.0), (1.0, 0.2, 0.3, 0.4))
+    forecast = Forecast(equations, 0.0, start, 40.0, 1e-8)
+    run = integrate(equations, start, [40.0], 1e-8)
+    assert run.method == forecast.method
+    assert 0.5 < forecast.steps("rk" if run.method == "8vr" else "bdf") / run.steps < 2.0

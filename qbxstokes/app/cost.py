@@ -2,8 +2,10 @@
 
     T(P) = models/min(P, bodies) + (integration + output)/P + hand-out + last block/2 + layout
 
-with integration = trajectories x right-hand sides x time of one; the number of right-hand sides
-follows from the horizon in shear times, and the tolerance of a step by the order of the formula.
+with integration = blocks x fixed + trajectories x right-hand sides x time of one. Right-hand sides
+are those that the integrator itself forecasts (motion/forecast.py) for the first trajectory of a
+scene with the smallest Stokes number of its block, and a step more for each sample; steps of
+implicit methods count as so many. Resistances are those of the closed forms.
 One rank lays the file out and serves the hand-out, to one rank after another. Start-up is left out,
 and so is what a file system shared by many nodes adds.
 """
@@ -14,19 +16,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qbxstokes.app.scenes import BLOCK_BYTES, Scenes
+from qbxstokes.app.scenes import BLOCK_BYTES, STOKES, Scene, Scenes
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.reference import faxen
 
-STAGES = 13
+# Bodies from which on some of a block need shorter steps than its first.
+SEVERAL = 8
 
 
 @dataclass(frozen=True)
 class Constants:
-    """Processor times on one core (s), and steps of the formula of order 8.
+    """Processor times on one core (s), and steps over those that are forecast.
 
     rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
     flow (constant or linear, quadratic, cubic), and in any other flow. call: per right-hand side of
-    a block, whatever it holds. steps_*: per shear time at local tolerance 1. sample: per sample of
-    a trajectory. stored_byte: of the result. handout: of a block, one after another. layout: per
+    a block, whatever it holds. steps_*: of a block of several bodies over the forecast for one.
+    sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
+    integrators and averages of a block. stored_byte: of the result. handout: of a block, one after another. layout: per
     trajectory, on one rank. model: of a body's hydrodynamics.
     """
 
@@ -37,14 +45,16 @@ class Constants:
     rhs_inertial_quadratic: float = 1.9e-7
     rhs_inertial_cubic: float = 3.5e-7
     rhs_general: float = 5e-5
-    call: float = 1.5e-5
-    steps_massless: float = 0.3
-    steps_inertial: float = 0.7
-    sample: float = 6e-7
+    call: float = 2.8e-6
+    steps_massless: float = 1.8
+    steps_inertial: float = 1.4
+    sample: float = 2e-6
+    block_sample: float = 5e-5
+    block: float = 0.03
     stored_byte: float = 1.0e-9
     handout: float = 5e-6
     layout: float = 5e-7
-    model: float = 0.7
+    model: float = 0.25
 
     def rhs(self, inertial: bool, degree: int | None) -> float:
         """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
@@ -55,13 +65,15 @@ class Constants:
         return float(getattr(self, f"rhs_{kind}_{name}"))
 
     def steps(self, inertial: bool) -> float:
-        """Steps per shear time at local tolerance 1."""
+        """Steps of a block of several bodies over the forecast for one."""
         return self.steps_inertial if inertial else self.steps_massless
 
 
 # On a 2 GHz Intel Xeon (Sapphire Rapids); the benchmark table `sweep_constants` measures them.
 XEON = Constants()
 BASE_MEMORY = 150e6
+# Start of MPI and PETSc, imports and loading of compiled kernels, which the model leaves out.
+START_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -100,16 +112,35 @@ class Estimate:
 
 def scene_weight(scenes: Scenes, number: int, constants: Constants = XEON) -> float:
     """Right-hand sides that one trajectory of a scene will take."""
-    scene = scenes.scene(number)
+    from qbxstokes.motion.forecast import STAGES, Forecast
+
+    scene, members = scenes.scene(number), scenes.first_members(number)
     case, plan = scene.loaded.case, scene.plan
     assert case.time is not None
-    k = case.body.aspect_ratio
-    slenderness = max(k, 1.0 / k)
-    gradient = scene.loaded.flow.gradient(plan.position)
-    shear_times = max(1.0, float(plan.times[-1]) * float(np.linalg.norm(gradient)))
-    local = max(case.time.tolerance / slenderness**2, 2e-15)
-    steps = constants.steps(case.body.stokes_number > 0) * shear_times * local ** (-1.0 / 8.0)
-    return STAGES * (steps + len(plan.times))
+    values = scenes.space.values(members)
+    stokes_number = float(np.min(values.get(STOKES, case.body.stokes_number)))
+    equations, start = _equations(scene, stokes_number)
+    forecast = Forecast(equations, 0.0, start, float(plan.times[-1]), case.time.tolerance)
+    method = forecast.method
+    kind = "rk" if method in ("5dp", "8vr") else method
+    crowd = constants.steps(stokes_number > 0) if len(members) >= SEVERAL else 1.0
+    # The other formulas have an interpolant as good as their steps.
+    sampled = STAGES * len(plan.times) if method == "8vr" else 0
+    return crowd * forecast.evaluations(kind) + sampled
+
+
+def _equations(scene: Scene, stokes_number: float) -> tuple[RigidBodyEquations, np.ndarray]:
+    """Equations with resistances in closed form and the flow about the start; the start (1, n)."""
+    case, plan = scene.loaded.case, scene.plan
+    k, flow = case.body.aspect_ratio, scene.loaded.flow
+    linear, quadratic, cubic = faxen.body_coefficients(k)
+    law = FaxenCoefficients(linear, quadratic, cubic)
+    model = BodyModel(k, Resistance(*faxen.resistance(k)), law, None, 0.0)
+    near = flow.polynomial or PolynomialFlow(
+        flow.velocity(plan.position), flow.gradient(plan.position), origin=plan.position
+    )
+    equations = RigidBodyEquations(model, near, stokes_number)
+    return equations, equations.initial_state(plan.position, plan.quaternion)
 
 
 def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:
@@ -131,7 +162,8 @@ def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
     case, flow = scenes.loaded.case, scenes.loaded.flow
     seconds = constants.rhs(case.body.stokes_number > 0, flow.degree)
     calls = weights(scenes, constants)[scenes.scene_of_block()]
-    return np.asarray(calls * (scenes.block_sizes() * seconds + constants.call))
+    fixed = constants.block + scenes.samples * constants.block_sample
+    return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + constants.call))
 
 
 def estimate(scenes: Scenes, row_bytes: int, constants: Constants = XEON) -> Estimate:

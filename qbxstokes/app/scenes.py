@@ -131,6 +131,10 @@ class Scenes:
     def _place(self, scene: int) -> tuple[int, ...]:
         return tuple(int(i) for i in np.unravel_index(scene, self.shape))
 
+    def first_members(self, scene: int) -> Indices:
+        """Numbers of the trajectories of a scene's first block."""
+        return self._members(scene, 0, min(self.block_size, int(self.sizes[scene])))
+
     def first_points(self, scene: int) -> list[int]:
         """Point of every axis at the first trajectory of a scene."""
         return [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from qbxstokes.app.cost import Estimate
+from qbxstokes.app.cost import START_SECONDS, Estimate
 from qbxstokes.app.report import Rows, counted, duration, quantity, render, size
 from qbxstokes.app.scenes import Scenes
 from qbxstokes.config.sweep import column_name
@@ -51,7 +51,8 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
                     (
                         "time",
                         f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
-                        f"({duration(estimate.work)} of work; a factor of 2 either way)",
+                        f"({duration(estimate.work)} of work; a factor of 2 either way), and "
+                        f"{duration(START_SECONDS)} to start",
                     ),
                 ],
             },

@@ -100,6 +100,12 @@ class Timed:
         """Right-hand sides of all blocks."""
         return self.evaluations * self.scenes.blocks / self.trial.count
 
+    @property
+    def integration(self) -> float:
+        """Seconds of the blocks without what each takes whatever it holds, as far as known."""
+        fixed = XEON.block + self.trial.samples * XEON.block_sample
+        return self.parts["blocks"] - (self.scenes.blocks - 1) * fixed
+
     def estimate(self, constants: Constants) -> Estimate:
         """What the model says of it; its body comes from the cache."""
         return estimate(self.scenes, self.row_bytes, replace(constants, model=0.0))
@@ -183,7 +189,7 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> tuple[Consta
     )
     three = (base, small, sampled)
     system = [[t.evaluations, t.calls, t.trial.count * t.trial.samples] for t in three]
-    rhs, call, sample = np.linalg.solve(system, [t.parts["blocks"] for t in three])
+    rhs, call, sample = np.linalg.solve(system, [t.integration for t in three])
     two = (done["many short ones"], done["all samples stored"])
     system = [[t.trial.count, t.trial.count * t.row_bytes] for t in two]
     layout, byte = np.linalg.solve(system, [t.parts["output"] for t in two])
@@ -201,7 +207,7 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> tuple[Consta
             timed = done.get(f"{kind}, {flow} flow")
             if timed is not None:
                 rest = timed.calls * call + timed.trial.count * timed.trial.samples * sample
-                values[f"rhs_{kind}_{flow}"] = (timed.parts["blocks"] - rest) / timed.evaluations
+                values[f"rhs_{kind}_{flow}"] = (timed.integration - rest) / timed.evaluations
     for kind, name in (("massless", "massless, shear"), ("inertial", "inertial, linear flow")):
         timed = done[name]
         expected = float(weights(timed.scenes).mean()) * timed.trial.count
