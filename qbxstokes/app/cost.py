@@ -34,8 +34,8 @@ class Constants:
     flow (constant or linear, quadratic, cubic), and in any other flow. call: per right-hand side of
     a block, whatever it holds. steps_*: of a block of several bodies over the forecast for one.
     sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
-    integrators and averages of a block. stored_byte: of the result. handout: of a block, one after another. layout: per
-    trajectory, on one rank. model: of a body's hydrodynamics.
+    integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
+    another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
     """
 
     rhs_massless_linear: float = 1.1e-7
