@@ -12,6 +12,7 @@ MAKERS: dict[str, str] = {
     "command": "qbxstokes.app.benchmark.command",
     "batch": "qbxstokes.app.benchmark.batch",
     "ranks": "qbxstokes.app.benchmark.ranks",
+    "sweeps": "qbxstokes.app.benchmark.sweeps",
     "field": "qbxstokes.app.benchmark.field",
     "scaling": "qbxstokes.app.benchmark.scaling",
 }
