@@ -31,8 +31,6 @@ def share_threads() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     share_threads()
-    # Looking for plugins in every installed package would cost pydantic some 20 ms.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     from qbxstokes.app.cli import run_command
 
     return run_command(sys.argv[1:] if arguments is None else arguments)

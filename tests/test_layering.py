@@ -39,7 +39,6 @@ HOMES = {
     "yaml": {"config"},
     "h5py": {"io"},
     "matplotlib": {"plots"},
-    "pydantic": {"config"},
     "pandas": {"io"},
     "xarray": {"io"},
     "tqdm": {"app"},
@@ -173,7 +172,7 @@ def test_allowed_imports_pass(module: str, source: str) -> None:
     assert violations(source, module) == []
 
 
-OUTER = ("petsc4py", "mpi4py", "h5py", "matplotlib", "pydantic", "tqdm", "pandas")
+OUTER = ("petsc4py", "mpi4py", "h5py", "matplotlib", "tqdm", "pandas")
 
 
 @pytest.mark.parametrize("package", MATHEMATICS)

@@ -36,7 +36,6 @@ def examine() -> list[Finding]:
         _package("numba", "only large batches and the set-up need it"),
         _package("h5py"),
         _package("yaml", distribution="pyyaml"),
-        _package("pydantic"),
         _package("matplotlib", "only plots need it"),
         _mpi(),
         _petsc(),

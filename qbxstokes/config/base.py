@@ -1,4 +1,4 @@
-"""What the sections of a case share: the base model, numbers, angles and vectors."""
+"""What the sections of a case share: numbers, angles, vectors and texts as users write them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import operator
 import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
-from pydantic_core import PydanticCustomError
+from qbxstokes.config.model import Convert, Problem
 
 _OPERATORS: dict[type, Any] = {
     ast.Add: operator.add,
@@ -22,19 +21,6 @@ _OPERATORS: dict[type, Any] = {
 }
 _NAMES = {"pi": math.pi, "π": math.pi}
 _ANGLE = re.compile(r"(?P<number>.*?)\s*(?P<unit>deg|degrees?|°|rad|radians?)\Z", re.DOTALL)
-
-
-class Section(BaseModel):
-    """One section of the case: immutable, without unknown keys, every key described."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-
-
-def problem(wrong: str, right: str = "", key: tuple[str | int, ...] = ()) -> PydanticCustomError:
-    """The error for a validator to raise; `key` leads from the section to the key at fault."""
-    return PydanticCustomError(
-        "case", "{wrong}; {right}", {"wrong": wrong, "right": right, "key": key}
-    )
 
 
 def _evaluate(node: ast.AST) -> float:
@@ -65,15 +51,15 @@ def expression(text: str) -> float:
 def to_number(value: Any) -> float:
     """A finite real number, given as a number or as simple arithmetic in a string."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise problem(f"is {describe(value)}", "a number is expected, such as 0.5 or 1e-6")
+        raise Problem(f"is {describe(value)}", "a number is expected, such as 0.5 or 1e-6")
     try:
         number = expression(value) if isinstance(value, str) else float(value)
     except (ValueError, OverflowError):
-        raise problem(
+        raise Problem(
             f"{describe(value)} is not a number", "write one, such as 0.5, 1e-6 or pi/2"
         ) from None
     if not math.isfinite(number):
-        raise problem(f"{describe(value)} is not finite", "a finite number is expected")
+        raise Problem(f"{describe(value)} is not finite", "a finite number is expected")
     return number
 
 
@@ -86,7 +72,7 @@ def to_angle(value: Any) -> float:
         try:
             angle = expression(number)
         except ValueError:
-            raise problem(
+            raise Problem(
                 f"{describe(value)} is not an angle", "write radians, 'pi/2' or '90 deg'"
             ) from None
         return to_number(math.radians(angle) if degrees else angle)
@@ -98,26 +84,26 @@ def to_integer(value: Any) -> int:
     if isinstance(value, str):
         value = to_number(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise problem(f"is {describe(value)}", "a whole number is expected")
+        raise Problem(f"is {describe(value)}", "a whole number is expected")
     if not math.isfinite(value) or value != int(value):
-        raise problem(f"{describe(value)} is not a whole number", "a whole number is expected")
+        raise Problem(f"{describe(value)} is not a whole number", "a whole number is expected")
     return int(value)
 
 
 def to_boolean(value: Any) -> bool:
     """true or false, and nothing that merely resembles them."""
     if not isinstance(value, bool):
-        raise problem(f"is {describe(value)}", "write true or false")
+        raise Problem(f"is {describe(value)}", "write true or false")
     return value
 
 
 def to_text(value: Any) -> str:
     """A printable string; a bare number is taken as its text."""
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise problem(f"is {describe(value)}", "a text is expected")
+        raise Problem(f"is {describe(value)}", "a text is expected")
     text = str(value)
     if not text.isprintable():
-        raise problem("holds control characters", "printable text on one line is expected")
+        raise Problem("holds control characters", "printable text on one line is expected")
     return text
 
 
@@ -126,9 +112,9 @@ def entries(count: int, example: str) -> Any:
 
     def check(value: Any) -> Any:
         if not isinstance(value, (list, tuple)):
-            raise problem(f"is {describe(value)}", f"{count} numbers are expected: {example}")
+            raise Problem(f"is {describe(value)}", f"{count} numbers are expected: {example}")
         if len(value) != count:
-            raise problem(f"has {len(value)} entries", f"{count} numbers are expected: {example}")
+            raise Problem(f"has {len(value)} entries", f"{count} numbers are expected: {example}")
         return tuple(value)
 
     return check
@@ -149,16 +135,16 @@ def describe(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)[:40]
 
 
-Number = Annotated[float, BeforeValidator(to_number, json_schema_input_type=float | str)]
-Angle = Annotated[float, BeforeValidator(to_angle, json_schema_input_type=float | str)]
-Integer = Annotated[int, BeforeValidator(to_integer)]
-Boolean = Annotated[bool, BeforeValidator(to_boolean)]
-Text = Annotated[str, BeforeValidator(to_text)]
+Number = Annotated[float, Convert(to_number, json=float | str)]
+Angle = Annotated[float, Convert(to_angle, json=float | str)]
+Integer = Annotated[int, Convert(to_integer)]
+Boolean = Annotated[bool, Convert(to_boolean)]
+Text = Annotated[str, Convert(to_text)]
 Vector = Annotated[
     tuple[Number, Number, Number],
-    BeforeValidator(entries(3, "[x1, x2, x3]"), json_schema_input_type=list[float | str]),
+    Convert(entries(3, "[x1, x2, x3]"), json=list[float | str]),
 ]
 Quadruple = Annotated[
     tuple[Number, Number, Number, Number],
-    BeforeValidator(entries(4, "[q0, q1, q2, q3]"), json_schema_input_type=list[float | str]),
+    Convert(entries(4, "[q0, q1, q2, q3]"), json=list[float | str]),
 ]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
-
 from qbxstokes.config.base import Integer
+from qbxstokes.config.model import Field
 from qbxstokes.config.tabulate import Tables
 
 

@@ -6,10 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
-from pydantic_core import PydanticCustomError
-
-from qbxstokes.config.base import Section, describe, problem, to_number
+from qbxstokes.config.base import describe, to_number
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
 _UNITS = ("seconds", "steps", "periods")
 _EVERY = re.compile(r"(?P<number>.*?)\s*(?P<unit>s|seconds?|steps?|periods?)\Z", re.DOTALL)
@@ -29,12 +27,12 @@ def _interval(value: Any) -> Interval:
     unit = next(name for name in _UNITS if name.startswith((match["unit"] if match else "s")[:2]))
     try:
         number = to_number(text)
-    except PydanticCustomError:
-        raise problem(
+    except Problem:
+        raise Problem(
             f"{describe(value)} is no interval", "such as 60 s, 10000 steps or 100 periods"
         ) from None
     if number <= 0 or (unit == "steps" and number < 1):
-        raise problem(f"is {describe(value)}", "more than nothing, such as 60 s")
+        raise Problem(f"is {describe(value)}", "more than nothing, such as 60 s")
     return Interval(number, unit)
 
 
@@ -46,7 +44,7 @@ def _every(value: Any) -> str:
 class Checkpoints(Section):
     """A run that is stopped goes on from its last checkpoint with --resume."""
 
-    every: Annotated[str, BeforeValidator(_every, json_schema_input_type=str | float)] = Field(
+    every: Annotated[str, Convert(_every, json=str | float)] = Field(
         default="30 seconds",
         description="time between checkpoints: 60 s of wall time, 10000 steps or 100 periods",
         examples=["60 s"],

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from qbxstokes.config.base import Number, Section
+from qbxstokes.config.base import Number
+from qbxstokes.config.model import Field, Section
 
 
 class Compare(Section):

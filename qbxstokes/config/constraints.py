@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
-
-from qbxstokes.config.base import Section
+from qbxstokes.config.model import Convert, Field, Section
 from qbxstokes.config.timed import timed_entry
 
 FREE, LOCKED = "free", "locked"
@@ -16,9 +14,7 @@ def _motion(value: Any) -> Any:
     return value if value in (FREE, LOCKED) else timed_entry(value)
 
 
-Motion = Annotated[
-    Any, BeforeValidator(_motion, json_schema_input_type=list[float | str] | str | dict[str, Any])
-]
+Motion = Annotated[Any, Convert(_motion, json=list[float | str] | str | dict[str, Any])]
 
 
 class Constraints(Section):

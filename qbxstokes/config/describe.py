@@ -6,22 +6,21 @@ import inspect
 import json
 import re
 import textwrap
+import types
+import typing
 from collections.abc import Collection, Iterator
-from typing import Any
-
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
+from typing import Any, Literal
 
 from qbxstokes.config.document import printable
 from qbxstokes.config.load import section_of
-from qbxstokes.config.schema import FOREIGN, Case
+from qbxstokes.config.model import MISSING, Convert, FieldInfo, Section
+from qbxstokes.config.schema import FOREIGN, TABLE_TASKS, Case
 from qbxstokes.errors import CaseError
 
 SCHEMA_FILE = "case.schema.json"
 
 
-def keys(model: type[BaseModel] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+def keys(model: type[Section] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
     """Every key of the case with its field, sections before their keys."""
     for name, field in model.model_fields.items():
         yield prefix + name, field
@@ -32,10 +31,10 @@ def keys(model: type[BaseModel] = Case, prefix: str = "") -> Iterator[tuple[str,
 
 def default_text(field: FieldInfo) -> str:
     """The default as written in a case; 'required' where there is none."""
-    if field.default is PydanticUndefined:
+    if field.default is MISSING:
         return "required"
     value = field.default
-    if value is None or value in ("", {}) or isinstance(value, BaseModel):
+    if value is None or value in ("", {}) or isinstance(value, Section):
         return ""
     return json.dumps(value) if not isinstance(value, str) else value
 
@@ -69,8 +68,9 @@ def flows() -> Iterator[tuple[str, dict[str, Any], str]]:
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema of a case file, for editors that complete and check YAML."""
-    schema = Case.model_json_schema()
-    flow = schema["$defs"]["FlowSection"]
+    definitions: dict[str, Any] = {}
+    schema = _section_schema(Case, definitions)
+    flow = definitions["FlowSection"]
     flow["properties"]["type"]["enum"] = [name for name, _, _ in flows()]
     flow["properties"]["position"] = {"description": "moves the whole flow to this point"}
     flow["properties"]["rotation"] = {
@@ -80,11 +80,100 @@ def json_schema() -> dict[str, Any]:
         for key in parameters:
             known = flow["properties"].setdefault(key, {"description": "key of"})
             known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
+    # Tasks that build their own scenes take neither body nor flow.
+    tables = {"properties": {"task": {"enum": list(TABLE_TASKS)}}, "required": ["task"]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
+        "required": [],
+        "if": tables,
+        "else": {"required": schema["required"]},
+        "$defs": definitions,
         "title": "qbxstokes case",
     }
+
+
+def _section_schema(model: type[Section], definitions: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a section; those of the sections in it go to `definitions` by name."""
+    properties = {}
+    for name, field in model.model_fields.items():
+        entry = _type_schema(field.hint, definitions)
+        if "$ref" in entry:
+            entry = {"allOf": [entry]}  # so that the description stands beside the reference
+        entry["description"] = field.description
+        if field.default is not MISSING:
+            entry["default"] = _written(field.default)
+        if field.examples:
+            entry["examples"] = list(field.examples)
+        properties[name] = entry
+    return {
+        "type": "object",
+        "description": (inspect.getdoc(model) or "").split("\n\n")[0].replace("\n", " "),
+        "properties": properties,
+        "required": [
+            name for name, field in model.model_fields.items() if field.default is MISSING
+        ],
+        "additionalProperties": model.model_open,
+    }
+
+
+def _written(default: Any) -> Any:
+    """A default as a user would write it: of a section, the keys it sets itself."""
+    if isinstance(default, Section):
+        return {name: _written(getattr(default, name)) for name in default.model_fields_set}
+    return list(default) if isinstance(default, tuple) else default
+
+
+_PLAIN = {
+    bool: "boolean",
+    int: "integer",
+    float: "number",
+    str: "string",
+    type(None): "null",
+}
+_BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
+
+
+def _type_schema(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
+    """The schema of what may be written for an annotation."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return {}
+    if hint in _PLAIN:
+        return {"type": _PLAIN[hint]}
+    if isinstance(hint, type) and issubclass(hint, Section):
+        if hint.__name__ not in definitions:
+            definitions[hint.__name__] = {}  # stands for it where it holds itself
+            definitions[hint.__name__] = _section_schema(hint, definitions)
+        return {"$ref": f"#/$defs/{hint.__name__}"}
+    if origin is typing.Annotated:
+        written = next((m.json for m in arguments if isinstance(m, Convert) and m.json), None)
+        schema = _type_schema(written or arguments[0], definitions)
+        for mark in arguments[1:]:
+            if isinstance(mark, FieldInfo):
+                _bound(schema, mark)
+        return schema
+    if origin in (typing.Union, types.UnionType):
+        return {"anyOf": [_type_schema(option, definitions) for option in arguments]}
+    if origin is Literal:
+        return {"enum": list(arguments)}
+    if origin in (tuple, list):
+        return {"type": "array", "items": _type_schema(arguments[0], definitions)}
+    return {"type": "object", "additionalProperties": _type_schema(arguments[1], definitions)}
+
+
+def _bound(schema: dict[str, Any], field: FieldInfo) -> None:
+    """Bounds on the type that they mean: numbers among what may be written, texts, lists."""
+    for option in schema.get("anyOf", [schema]):
+        kind = option.get("type")
+        if kind in ("number", "integer"):
+            bounds = {word: getattr(field, name) for name, word in _BOUNDS.items()}
+        elif kind in ("string", "array"):
+            what = "Length" if kind == "string" else "Items"
+            bounds = {f"min{what}": field.min_length, f"max{what}": field.max_length}
+        else:
+            continue
+        option |= {word: bound for word, bound in bounds.items() if bound is not None}
 
 
 _WIDTH = 80
@@ -159,7 +248,7 @@ def _starter_lines(
     if given:
         return _commented(pad, f"{pad}{name}: {_yaml(values[name])}", comment)
     shown = field.default
-    if shown in (None, "", {}) or shown is PydanticUndefined:
+    if shown in (None, "", {}) or shown is MISSING:
         shown = field.examples[0] if field.examples else None
     text = "" if shown is None else f" {_yaml(shown)}"
     return _commented(pad, f"{pad}{mark}{name}:{text}", comment)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-
-from qbxstokes.config.base import Boolean, Number, Section, Vector, describe, problem, to_number
+from qbxstokes.config.base import Boolean, Number, Vector, describe, to_number
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
 Turning = Literal["x1", "x2", "x3", "d1", "d2", "d3"]
 
 
 def _corner(value: Any) -> Any:
     if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise problem(f"is {describe(value)}", "three entries, null where there is no bound")
+        raise Problem(f"is {describe(value)}", "three entries, null where there is no bound")
     return tuple(None if entry is None else to_number(entry) for entry in value)
 
 
 Corner = Annotated[
     tuple[float | None, float | None, float | None],
-    BeforeValidator(_corner, json_schema_input_type=list[float | str | None]),
+    Convert(_corner, json=list[float | str | None]),
 ]
 
 
@@ -37,12 +36,10 @@ class Region(Section):
         examples=[[10.0, None, None]],
     )
 
-    @model_validator(mode="after")
-    def _is_a_box(self) -> Region:
+    def _check(self) -> None:
         for index, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
             if low is not None and high is not None and low >= high:
-                raise problem(f"{high:g} is not above {low:g}", "a larger bound", ("upper", index))
-        return self
+                raise Problem(f"{high:g} is not above {low:g}", "a larger bound", ("upper", index))
 
 
 class Events(Section):
@@ -76,10 +73,8 @@ class Events(Section):
         examples=[0.05],
     )
 
-    @model_validator(mode="after")
-    def _fits(self) -> Events:
+    def _check(self) -> None:
         if self.stop_when_steady and self.steady is None:
-            raise problem("needs steady", "a rate such as steady: 1e-6", ("stop_when_steady",))
+            raise Problem("needs steady", "a rate such as steady: 1e-6", ("stop_when_steady",))
         if self.plane is not None and not any(self.plane):
-            raise problem("is zero and has no direction", "any non-zero vector", ("plane",))
-        return self
+            raise Problem("is zero and has no direction", "any non-zero vector", ("plane",))

@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-
-from qbxstokes.config.base import (
-    Boolean,
-    Integer,
-    Number,
-    Section,
-    Text,
-    Vector,
-    entries,
-    problem,
-)
+from qbxstokes.config.base import Boolean, Integer, Number, Text, Vector, entries
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
 Quantity = Literal["velocity", "disturbance_velocity", "pressure", "stress"]
 Frame = Literal["centre", "space", "body"]
@@ -24,15 +14,15 @@ FRAME = "axes of space about the body's centre, space itself, or the body's own 
 _Count = Annotated[Integer, Field(ge=1, le=100_000)]
 Rectangle = Annotated[
     tuple[Number, Number, Number, Number],
-    BeforeValidator(entries(4, "[-3, 3, -3, 3]"), json_schema_input_type=list[float | str]),
+    Convert(entries(4, "[-3, 3, -3, 3]"), json=list[float | str]),
 ]
 Pair = Annotated[
     tuple[_Count, _Count],
-    BeforeValidator(entries(2, "[201, 201]"), json_schema_input_type=list[int]),
+    Convert(entries(2, "[201, 201]"), json=list[int]),
 ]
 Triple = Annotated[
     tuple[_Count, _Count, _Count],
-    BeforeValidator(entries(3, "[41, 41, 41]"), json_schema_input_type=list[int]),
+    Convert(entries(3, "[41, 41, 41]"), json=list[int]),
 ]
 
 
@@ -52,16 +42,14 @@ class Plane(Section):
     shape: Pair = Field(default=(201, 201), description="numbers of points in both directions")
     frame: Frame = Field(default="centre", description=FRAME)
 
-    @model_validator(mode="after")
-    def _spans_a_plane(self) -> Plane:
+    def _check(self) -> None:
         a, b = self.first, self.second
         cross = [a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))]
         if max(map(abs, cross)) <= 1e-9 * max(map(abs, a)) * max(map(abs, b)):
-            raise problem("is parallel to first, or zero", "another direction", ("second",))
+            raise Problem("is parallel to first, or zero", "another direction", ("second",))
         for low, high in ((0, 1), (2, 3)):
             if self.extent[low] >= self.extent[high]:
-                raise problem("is not increasing", "such as [-3, 3, -3, 3]", ("extent",))
-        return self
+                raise Problem("is not increasing", "such as [-3, 3, -3, 3]", ("extent",))
 
 
 class Box(Section):
@@ -72,11 +60,9 @@ class Box(Section):
     shape: Triple = Field(default=(41, 41, 41), description="numbers of points along the axes")
     frame: Frame = Field(default="centre", description=FRAME)
 
-    @model_validator(mode="after")
-    def _has_volume(self) -> Box:
+    def _check(self) -> None:
         if any(a >= b for a, b in zip(self.lower, self.upper, strict=True)):
-            raise problem("is not beyond lower", "larger in every coordinate", ("upper",))
-        return self
+            raise Problem("is not beyond lower", "larger in every coordinate", ("upper",))
 
 
 class Shells(Section):
@@ -87,12 +73,10 @@ class Shells(Section):
     )
     shape: Pair = Field(default=(33, 64), description="numbers of points in theta and phi")
 
-    @model_validator(mode="after")
-    def _ascend(self) -> Shells:
+    def _check(self) -> None:
         for index in range(1, len(self.distances)):
             if self.distances[index] <= self.distances[index - 1]:
-                raise problem("does not increase", "increasing distances", ("distances", index))
-        return self
+                raise Problem("does not increase", "increasing distances", ("distances", index))
 
 
 class Points(Section):
@@ -218,8 +202,7 @@ class FieldSection(Section):
     )
     pictures: Boolean = Field(default=False, description="draw PDF pictures beside the result")
 
-    @model_validator(mode="after")
-    def _keys_agree(self) -> FieldSection:
+    def _check(self) -> None:
         given = self.model_fields_set
         for names, body in (
             (("force", "torque"), "free"),
@@ -227,15 +210,14 @@ class FieldSection(Section):
         ):
             for name in names:
                 if name in given and self.body != body:
-                    raise problem(
+                    raise Problem(
                         f"has no meaning for body: {self.body}",
                         f"leave it out or set body: {body}",
                         (name,),
                     )
         if self.at is not None and self.every is not None:
-            raise problem("conflicts with at", "give one of them", ("every",))
+            raise Problem("conflicts with at", "give one of them", ("every",))
         wanted: list[Any] = [self.plane, self.box, self.shells, self.points]
         wanted += [self.surface, self.streamlines, self.tracers]
         if all(entry is None for entry in wanted):
-            raise problem("asks for nothing", "such as `plane: {}`")
-        return self
+            raise Problem("asks for nothing", "such as `plane: {}`")

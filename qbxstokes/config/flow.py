@@ -4,30 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import ConfigDict, Field, model_validator
-from pydantic_core import PydanticCustomError
-
-from qbxstokes.config.base import Section, Text, to_angle, to_number
+from qbxstokes.config.base import Text, to_angle, to_number
+from qbxstokes.config.model import Field, Problem, Section
 
 
 class FlowSection(Section):
     """The background flow: `type`, and the keys of that type."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_open = True
 
     type: Text = Field(
         description="name of the flow; its own keys follow in this section", examples=["shear"]
     )
 
-    @model_validator(mode="before")
     @classmethod
-    def _numbers(cls, data: Any) -> Any:
+    def _prepare(cls, data: Any) -> Any:
         """Numbers and angles may be written as '1/6' and '90 deg' here as elsewhere."""
         return _with_numbers(data)
 
     def spec(self) -> dict[str, Any]:
         """The plain dictionary from which the flow is built."""
-        return {"type": self.type, **(self.model_extra or {})}
+        return {"type": self.type, **self.model_extra}
 
 
 def _with_numbers(value: Any, key: str = "") -> Any:
@@ -41,6 +38,6 @@ def _with_numbers(value: Any, key: str = "") -> Any:
     if isinstance(value, str) and key != "type":
         try:
             return to_number(value)
-        except PydanticCustomError:
+        except Problem:
             return value
     return value

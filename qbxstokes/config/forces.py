@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
-
-from qbxstokes.config.base import Number, Section, Vector, problem
+from qbxstokes.config.base import Number, Vector
+from qbxstokes.config.model import Field, Problem, Section
 from qbxstokes.config.timed import TimedVector
 
 
@@ -35,17 +34,15 @@ class Gravity(Section):
         default=None, description="rho_p/rho_f, of body to fluid", examples=[2.5]
     )
 
-    @model_validator(mode="after")
-    def _one_way(self) -> Gravity:
+    def _check(self) -> None:
         if not any(self.direction):
-            raise problem("is zero", "any non-zero vector", ("direction",))
+            raise Problem("is zero", "any non-zero vector", ("direction",))
         pair = (self.acceleration, self.density_ratio)
         if (self.number is None) == (pair == (None, None)):
-            raise problem("is not determined", "give number, or acceleration and density_ratio")
+            raise Problem("is not determined", "give number, or acceleration and density_ratio")
         if self.number is None and None in pair:
             missing = "acceleration" if pair[0] is None else "density_ratio"
-            raise problem("is missing", "acceleration and density_ratio go together", (missing,))
-        return self
+            raise Problem("is missing", "acceleration and density_ratio go together", (missing,))
 
     def net(self, stokes_number: float) -> float:
         """G, the net weight per volume."""

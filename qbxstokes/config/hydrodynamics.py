@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
-
-from qbxstokes.config.base import Boolean, Integer, Number, Section, Text, problem
+from qbxstokes.config.base import Boolean, Integer, Number, Text
+from qbxstokes.config.model import Field, Problem, Section
 
 UNIFORM_KEYS = ("r_over_h", "upsampling", "coefficients")
 GRADED_KEYS = ("radius_factor", "panel_order", "panel_ratio")
@@ -98,13 +97,12 @@ class Hydrodynamics(Section):
         examples=["operators"],
     )
 
-    @model_validator(mode="after")
-    def _keys_fit_scheme(self) -> Hydrodynamics:
+    def _check(self) -> None:
         foreign = UNIFORM_KEYS if self.scheme == "graded" else GRADED_KEYS
         other = "uniform" if self.scheme == "graded" else "graded"
         for name in foreign:
             if getattr(self, name) is not None:
-                raise problem(
+                raise Problem(
                     f"has no meaning for scheme: {self.scheme}",
                     f"leave it out or set scheme: {other}",
                     (name,),
@@ -112,5 +110,4 @@ class Hydrodynamics(Section):
         if self.scheme == "uniform":
             for name in ("n_theta", "n_phi", "expansion_order", "r_over_h", "upsampling"):
                 if getattr(self, name) is None:
-                    raise problem("is missing", "scheme: uniform needs it explicitly", (name,))
-        return self
+                    raise Problem("is missing", "scheme: uniform needs it explicitly", (name,))

@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
-
 from qbxstokes.config.base import describe
 from qbxstokes.config.document import Document, Key, parse, read_text
+from qbxstokes.config.model import Fault, FieldInfo, Invalid, Section
 from qbxstokes.config.schema import TABLE_TASKS, Case
 from qbxstokes.config.sweep import (
     TABLE,
@@ -56,7 +54,7 @@ class LoadedCase:
         unused = {name for name in TABLE_TASKS if name != self.case.task}
         if self.case.task in TABLE_TASKS:
             unused |= set(SCENE_SECTIONS)
-        return self.case.model_dump(mode="json", exclude=unused)
+        return self.case.model_dump(exclude=unused)
 
 
 def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
@@ -98,11 +96,9 @@ def _space(document: Document, folder: Path) -> SweepSpace:
                     where = ("sweep", "axes", number, name)
                     raise document.error(where, "unknown key", right)
         return build_space(section.axes, folder)
-    except ValidationError as error:
-        first: dict[str, Any] = dict(error.errors(include_url=False)[0])
-        first["loc"] = ("sweep", *first["loc"])
-        key, wrong, right = _fault(document, first)
-        raise document.error(key, wrong, right) from None
+    except Invalid as invalid:
+        first = replace(invalid.faults[0], key=("sweep", *invalid.faults[0].key))
+        raise document.error(*_told(first)) from None
     except SweepFault as fault:
         raise document.error(fault.key, fault.wrong, fault.right) from None
 
@@ -131,8 +127,8 @@ def _check_points(document: Document, space: SweepSpace) -> None:
             place = [point if other == number else 0 for other in range(len(space.axes))]
             try:
                 Case.model_validate(space.assign(document.data, place))
-            except ValidationError as error:
-                key, wrong, right = _fault(document, dict(error.errors(include_url=False)[0]))
+            except Invalid as invalid:
+                key, wrong, right = _told(invalid.faults[0])
                 of = f"value {point + 1} of the axis"
                 raise document.error(key, f"{wrong} ({of})", right) from None
 
@@ -147,11 +143,11 @@ def validate(document: Document) -> Case:
     }
     try:
         return Case.model_validate(data)
-    except ValidationError as error:
-        entries = [dict(entry) for entry in error.errors(include_url=False)]
+    except Invalid as invalid:
+        entries = invalid.faults
     # A misspelt key comes first: it is the cause of the key that is then missing.
-    entries.sort(key=lambda entry: entry["type"] != "extra_forbidden")
-    faults = [_fault(document, entry) for entry in entries[:MAX_FAULTS]]
+    entries.sort(key=lambda entry: entry.kind != "unknown")
+    faults = [_told(entry) for entry in entries[:MAX_FAULTS]]
     faults.sort(key=lambda fault: (fault[1] != UNKNOWN, document.line(fault[0]), len(fault[0])))
     key, wrong, right = faults[0]
     more = len({fault[0] for fault in faults}) - 1 + max(0, len(entries) - MAX_FAULTS)
@@ -170,9 +166,9 @@ def nearest(word: str, known: Sequence[str]) -> str | None:
     return next((name for name in known if matches and name.lower() == matches[0]), None)
 
 
-def section_at(key: Key) -> type[BaseModel] | None:
+def section_at(key: Key) -> type[Section] | None:
     """The section class that `key` leads to, or None where it leads to a plain value."""
-    model: type[BaseModel] | None = Case
+    model: type[Section] | None = Case
     for part in key:
         if model is None or part not in model.model_fields:
             return None
@@ -180,9 +176,9 @@ def section_at(key: Key) -> type[BaseModel] | None:
     return model
 
 
-def section_of(annotation: Any) -> type[BaseModel] | None:
+def section_of(annotation: Any) -> type[Section] | None:
     """The section class in a field's annotation, looking through `| None`."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         found = (section_of(option) for option in typing.get_args(annotation))
@@ -190,57 +186,36 @@ def section_of(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _known_key(document: Document, key: Key) -> Key:
-    """`key` without the tags that validation of unions appends to it."""
-    holder: Any = document.data
-    for depth, part in enumerate(key):
-        inside = (isinstance(holder, dict) and part in holder) or (
-            isinstance(holder, list) and isinstance(part, int) and part < len(holder)
-        )
-        if not inside:
-            return key[:depth]
-        holder = holder[part]
-    return key
-
-
-def _fault(document: Document, entry: dict[str, Any]) -> tuple[Key, str, str]:
-    """Key, what is wrong, and what would be right, of one entry of pydantic's list."""
-    kind, key, context = entry["type"], tuple(entry["loc"]), entry.get("ctx", {})
-    value = entry.get("input")
-    if kind == "case":
-        return (*_known_key(document, key), *context["key"]), context["wrong"], context["right"]
-    if kind == "missing":
-        parent = section_at(key[:-1])
-        field = parent.model_fields[str(key[-1])] if parent else None
-        right = (field.description or "") if field else ""
+def _told(fault: Fault) -> tuple[Key, str, str]:
+    """Key, what is wrong, and what would be right."""
+    key, value, right = fault.key, fault.value, fault.right
+    section = section_at(key[:-1])
+    if fault.kind == "missing":
+        field = section.model_fields[str(key[-1])] if section else None
+        right = field.description if field else ""
         inner = section_of(field.annotation) if field else None
         if inner:
             right += f", with the keys {', '.join(inner.model_fields)}"
         if field and field.examples:
             right += f"; for example {key[-1]}: {field.examples[0]}"
         return key, "is missing", right
-    key = _known_key(document, key)
-    section = section_at(key[:-1])
-    if kind == "extra_forbidden":
+    if fault.kind == "unknown":
         known = list(section.model_fields) if section else []
         close = nearest(str(key[-1]), known)
         right = f"did you mean {close}?" if close else f"known here: {', '.join(known)}"
         return key, UNKNOWN, right
-    if kind == "literal_error":
-        choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        close = nearest(value, choices.split(", ")) if isinstance(value, str) else None
+    if fault.kind == "choice":
+        choices = ", ".join(fault.choices)
+        close = nearest(value, fault.choices) if isinstance(value, str) else None
         right = f"did you mean {close}? (one of {choices})" if close else f"one of {choices}"
         return key, f"{describe(value)} is not a choice", right
-    if kind in ("model_type", "model_attributes_type", "dict_type"):
+    if fault.kind == "section":
         model = section_at(key)
         keys = f": {', '.join(model.model_fields)}" if model else ""
         return key, f"is {describe(value)}", f"keys are expected below it{keys}"
-    if kind in ("tuple_type", "list_type"):
-        return key, f"is {describe(value)}", "a list is expected"
-    for name, sign in {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}.items():
-        if name in context:
-            return key, f"is {describe(value)}", f"must be {sign} {context[name]:g}"
-    return key, f"is {describe(value)}", entry["msg"]
+    if fault.kind == "list":
+        return key, f"is {describe(value)}", right or "a list is expected"
+    return key, fault.wrong or f"is {describe(value)}", right
 
 
 def _build_flow(case: Case, document: Document, path: Path) -> Flow:

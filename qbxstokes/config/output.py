@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from qbxstokes.config.base import Boolean, Text, to_text
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
-from qbxstokes.config.base import Boolean, Section, Text, problem
+
+def _path(value: Any) -> str:
+    name = to_text(value)
+    if name.endswith("/"):
+        raise Problem("names a directory", "a file name such as result.h5")
+    return name
 
 
 class Output(Section):
     """The result file."""
 
-    file: Annotated[Text, Field(min_length=1, max_length=4000)] | None = Field(
+    file: Annotated[str, Convert(_path), Field(min_length=1, max_length=4000)] | None = Field(
         default=None,
         description="result file, relative to the working directory; unset: the case's name + .h5",
         examples=["result.h5"],
@@ -25,10 +31,3 @@ class Output(Section):
         description="quantities to store besides time; unset: all",
         examples=[["position", "axis"]],
     )
-
-    @field_validator("file")
-    @classmethod
-    def _is_a_path(cls, value: str | None) -> str | None:
-        if value is not None and value.endswith("/"):
-            raise problem("names a directory", "a file name such as result.h5")
-        return value

@@ -9,9 +9,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-
-from qbxstokes.config.base import Section, Text, describe, problem
+from qbxstokes.config.base import Text, describe
 from qbxstokes.config.benchmark import Benchmark
 from qbxstokes.config.body import Body
 from qbxstokes.config.checkpoint import Checkpoints
@@ -22,6 +20,7 @@ from qbxstokes.config.field import FieldSection
 from qbxstokes.config.flow import FlowSection
 from qbxstokes.config.forces import Forces
 from qbxstokes.config.hydrodynamics import Hydrodynamics
+from qbxstokes.config.model import Convert, Field, Problem, Section
 from qbxstokes.config.output import Output
 from qbxstokes.config.start import Start
 from qbxstokes.config.stress import Stress
@@ -67,14 +66,14 @@ def _petsc_options(value: Any) -> Any:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise problem(f"is {describe(value)}", "options as keys, such as `ts_type: rk`")
+        raise Problem(f"is {describe(value)}", "options as keys, such as `ts_type: rk`")
     for name, option in value.items():
         if isinstance(option, (dict, list)):
-            raise problem(f"is {describe(option)}", "one value per option", (name,))
+            raise Problem(f"is {describe(option)}", "one value per option", (name,))
         if not name.lstrip("-") or any(c.isspace() or not c.isprintable() for c in name):
-            raise problem("is not an option's name", "a name such as ts_monitor", (name,))
+            raise Problem("is not an option's name", "a name such as ts_monitor", (name,))
         if isinstance(option, str) and not option.isprintable():
-            raise problem("holds control characters", "printable text", (name,))
+            raise Problem("holds control characters", "printable text", (name,))
     return {name.lstrip("-"): option for name, option in value.items()}
 
 
@@ -85,31 +84,27 @@ class Case(Section):
     title: Text = Field(default="", description="a line that names the case in summaries")
     body: Body = Field(description="the spheroid")
     flow: FlowSection = Field(description="the background flow")
-    start: Start = Field(default=Start.model_construct(), description="state at time 0")
-    forces: Forces = Field(
-        default=Forces.model_construct(), description="external force and torque, gravity"
-    )
+    start: Start = Field(default=Start(), description="state at time 0")
+    forces: Forces = Field(default=Forces(), description="external force and torque, gravity")
     constraints: Constraints = Field(
-        default=Constraints.model_construct(),
+        default=Constraints(),
         description="parts of the motion that are held or prescribed",
     )
     time: Time | None = Field(default=None, description="duration, stored instants, tolerance")
     hydrodynamics: Hydrodynamics = Field(
-        default=Hydrodynamics.model_construct(),
+        default=Hydrodynamics(),
         description="accuracy and scheme of the integral equation",
     )
     field: FieldSection | None = Field(
         default=None, description="the flow around the body: where, which quantities, how well"
     )
-    events: Events = Field(
-        default=Events.model_construct(), description="what is watched for between samples"
-    )
+    events: Events = Field(default=Events(), description="what is watched for between samples")
     checkpoint: Checkpoints = Field(
-        default=Checkpoints.model_construct(), description="how often the run is made safe on disk"
+        default=Checkpoints(), description="how often the run is made safe on disk"
     )
     petsc: Annotated[
         dict[str, PetscValue],
-        BeforeValidator(_petsc_options, json_schema_input_type=dict[str, PetscValue]),
+        Convert(_petsc_options, json=dict[str, PetscValue]),
     ] = Field(
         default={},
         description="PETSc options without the leading dash; the command line overrides them",
@@ -119,20 +114,15 @@ class Case(Section):
         default=None, description="vary keys of the case: many trajectories, one result"
     )
     benchmark: Benchmark = Field(
-        default=Benchmark.model_construct(), description="tables of run time against error"
+        default=Benchmark(), description="tables of run time against error"
     )
-    stress: Stress = Field(
-        default=Stress.model_construct(), description="tables of numerical stability"
-    )
-    study: Study = Field(default=Study.model_construct(), description="studies: tables and figures")
-    output: Output = Field(default=Output.model_construct(), description="the result file")
-    compare: Compare = Field(
-        default=Compare.model_construct(), description="what to hold the result against"
-    )
+    stress: Stress = Field(default=Stress(), description="tables of numerical stability")
+    study: Study = Field(default=Study(), description="studies: tables and figures")
+    output: Output = Field(default=Output(), description="the result file")
+    compare: Compare = Field(default=Compare(), description="what to hold the result against")
 
-    @model_validator(mode="before")
     @classmethod
-    def _keys_fit_task(cls, data: Any) -> Any:
+    def _prepare(cls, data: Any) -> Any:
         """Refuse what has no meaning for the task.
 
         A task that builds its own scenes stands on a scene that is not used.
@@ -147,39 +137,37 @@ class Case(Section):
             for part in key[:-1]:
                 holder = holder.get(part) if isinstance(holder, dict) else None
             if isinstance(holder, dict) and holder.get(key[-1]) is not None:
-                raise problem(f"has no meaning for task: {task}", right, key)
+                raise Problem(f"has no meaning for task: {task}", right, key)
         if task not in TABLE_TASKS:
             return data
         return {**data, "body": {"aspect_ratio": 1.0}, "flow": {"type": "uniform"}}
 
-    @model_validator(mode="after")
-    def _sections_agree(self) -> Case:
+    def _check(self) -> None:
         if self.task == "motion" and self.time is None:
-            raise problem("is missing", "task: motion needs it, with end, periods or at", ("time",))
+            raise Problem("is missing", "task: motion needs it, with end, periods or at", ("time",))
         if self.task == "field":
             if self.field is None:
-                raise problem("is missing", "task: field needs it, such as `plane: {}`", ("field",))
+                raise Problem("is missing", "task: field needs it, such as `plane: {}`", ("field",))
             tracers = self.field.tracers
             if tracers is not None and tracers.duration is None:
                 key = ("field", "tracers", "duration")
-                raise problem("is missing", "task: field needs the end of the paths", key)
+                raise Problem("is missing", "task: field needs the end of the paths", key)
         self._check_forces()
         if self.body.stokes_number == 0:
             for name in ("velocity", "angular_velocity"):
                 if getattr(self.start, name) != "with_flow":
-                    raise problem(
+                    raise Problem(
                         "has no meaning for a massless body (stokes_number: 0)",
                         "leave it out, or give the body a stokes_number > 0",
                         ("start", name),
                     )
         self._check_uniform_radius()
-        return self
 
     def _check_forces(self) -> None:
         """Refuse weights without mass, and starts that a constraint leaves no room for."""
         gravity = self.forces.gravity
         if gravity is not None and gravity.number is None and self.body.stokes_number == 0:
-            raise problem(
+            raise Problem(
                 "needs a stokes_number > 0",
                 "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight",
                 ("forces", "gravity", "acceleration"),
@@ -188,7 +176,7 @@ class Case(Section):
             given = getattr(self.start, moving) != "with_flow"
             if given and getattr(self.constraints, bound) != FREE:
                 wrong = f"has no meaning with constraints.{bound}"
-                raise problem(wrong, "leave it out", ("start", moving))
+                raise Problem(wrong, "leave it out", ("start", moving))
 
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.
@@ -204,7 +192,7 @@ class Case(Section):
         radius = 2 * math.pi * scheme.r_over_h / scheme.n_theta
         if radius > limit:
             formula = "k^2" if k <= 1 else "1/k"
-            raise problem(
+            raise Problem(
                 f"r = 2 pi r_over_h / n_theta = {radius:.4g} leaves the admissible ball, "
                 f"r <= {formula} = {limit:.4g}",
                 f"r_over_h <= {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",

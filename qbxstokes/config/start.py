@@ -5,18 +5,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-
-from qbxstokes.config.base import (
-    Angle,
-    Quadruple,
-    Section,
-    Vector,
-    describe,
-    entries,
-    problem,
-    to_number,
-)
+from qbxstokes.config.base import Angle, Quadruple, Vector, describe, entries, to_number
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
 
 class EulerAngles(Section):
@@ -42,7 +32,7 @@ class Orbit(Section):
     360 deg a period, and phase 0 is an axis in the plane of x1 and x3.
     """
 
-    constant: Annotated[float, BeforeValidator(_orbit_constant), Field(ge=0)] = Field(
+    constant: Annotated[float, Convert(_orbit_constant), Field(ge=0)] = Field(
         description="orbit constant C = tan(theta) at phase 0: 0 is log-rolling, inf tumbling",
         examples=[1.0],
     )
@@ -68,17 +58,15 @@ class Orientation(Section):
         default=None, description="Jeffery orbit of a shear (x2, 0, 0): constant and phase"
     )
 
-    @model_validator(mode="after")
-    def _one_form(self) -> Orientation:
+    def _check(self) -> None:
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
             wrong = f"gives {' and '.join(given)}" if given else "gives no orientation"
-            raise problem(wrong, "give exactly one of quaternion, euler, axis, orbit")
+            raise Problem(wrong, "give exactly one of quaternion, euler, axis, orbit")
         for name in ("quaternion", "axis"):
             value = getattr(self, name)
             if value is not None and not any(value):
-                raise problem("is zero and has no direction", "any non-zero value", (name,))
-        return self
+                raise Problem("is zero and has no direction", "any non-zero value", (name,))
 
 
 def _velocity(value: Any) -> Any:
@@ -86,12 +74,12 @@ def _velocity(value: Any) -> Any:
         return value
     if isinstance(value, (list, tuple)):
         return tuple(to_number(entry) for entry in entries(3, "[v1, v2, v3]")(value))
-    raise problem(f"is {describe(value)}", "write with_flow or three numbers [v1, v2, v3]")
+    raise Problem(f"is {describe(value)}", "write with_flow or three numbers [v1, v2, v3]")
 
 
 Velocity = Annotated[
     Literal["with_flow"] | tuple[float, float, float],
-    BeforeValidator(_velocity, json_schema_input_type=Literal["with_flow"] | list[float | str]),
+    Convert(_velocity, json=Literal["with_flow"] | list[float | str]),
 ]
 
 
@@ -104,7 +92,7 @@ class Start(Section):
         examples=[[0.0, 0.0, 0.0]],
     )
     orientation: Orientation = Field(
-        default=Orientation.model_construct(axis=(0.0, 0.0, 1.0)),
+        default=Orientation(axis=(0.0, 0.0, 1.0)),
         description="orientation as quaternion, euler, axis or orbit",
     )
     velocity: Velocity = Field(

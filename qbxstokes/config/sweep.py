@@ -26,18 +26,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
-from pydantic_core import PydanticCustomError
 
-from qbxstokes.config.base import (
-    Integer,
-    Number,
-    Section,
-    describe,
-    problem,
-    to_angle,
-    to_integer,
-)
+from qbxstokes.config.base import Integer, Number, describe, to_angle, to_integer
+from qbxstokes.config.model import Convert, Field, Problem, Section
 
 Array = NDArray[Any]
 Key = tuple[str | int, ...]
@@ -51,10 +42,23 @@ _ORIENTATION = ("start", "orientation")
 _FIXED = ("task", "title", "sweep", "output", "compare", "petsc", "time.samples", "time.at")
 
 
+def _axes(value: Any) -> Any:
+    if not isinstance(value, (list, tuple)):
+        raise Problem(f"is {describe(value)}", "a list of axes: `- body.aspect_ratio: [1, 2]`")
+    for index, axis in enumerate(value):
+        if not isinstance(axis, dict) or not axis:
+            raise Problem(
+                f"is {describe(axis)}", "an axis such as body.aspect_ratio: [1, 2]", (index,)
+            )
+    return value
+
+
 class Sweep(Section):
     """A family of trajectories: axes that multiply, each one or several keys side by side."""
 
-    axes: Annotated[tuple[dict[str, Any], ...], Field(min_length=1, max_length=16)] = Field(
+    axes: Annotated[
+        tuple[dict[str, Any], ...], Convert(_axes), Field(min_length=1, max_length=16)
+    ] = Field(
         description="list of axes: key: [values], {linspace | logspace | uniform: [a, b], count}, "
         "{random: axes | rotations, count, seed}, or table: FILE.csv",
         examples=[[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}]],
@@ -68,18 +72,6 @@ class Sweep(Section):
     discard: Annotated[Number, Field(ge=0, lt=1)] = Field(
         default=0.0, description="part of the time left out of averages, from the start"
     )
-
-    @field_validator("axes", mode="before")
-    @classmethod
-    def _axes_are_mappings(cls, value: Any) -> Any:
-        if not isinstance(value, (list, tuple)):
-            raise problem(f"is {describe(value)}", "a list of axes: `- body.aspect_ratio: [1, 2]`")
-        for index, axis in enumerate(value):
-            if not isinstance(axis, dict) or not axis:
-                raise problem(
-                    f"is {describe(axis)}", "an axis such as body.aspect_ratio: [1, 2]", (index,)
-                )
-        return value
 
 
 @dataclass(frozen=True)
@@ -322,7 +314,7 @@ def _number_or_same(value: Any) -> Any:
     if isinstance(value, str):
         try:
             return to_angle(value)
-        except PydanticCustomError:
+        except Problem:
             return value
     if isinstance(value, list):
         return [_number_or_same(entry) for entry in value]
@@ -355,7 +347,7 @@ def _generated(key: Key, given: Mapping[str, Any], where: Key) -> Column:
     for index, end in enumerate(ends):
         try:
             pair.append(to_angle(end))
-        except PydanticCustomError as error:
+        except Problem as error:
             raise SweepFault((*where, kind, index), str(error).split(";")[0], "a number") from None
     if kind == "uniform":
         return Column(key, where, None, "uniform", count, seed, (pair[0], pair[1]))
@@ -388,7 +380,7 @@ def _random(key: Key, kind: Any, count: int, seed: int, where: Key) -> Column:
 def _integer(value: Any, where: Key, least: int) -> int:
     try:
         number = to_integer(value)
-    except PydanticCustomError as error:
+    except Problem as error:
         raise SweepFault(where, str(error).split(";")[0], "a whole number") from None
     if number < least:
         raise SweepFault(where, f"is {number}", f"must be >= {least}")

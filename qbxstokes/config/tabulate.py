@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from qbxstokes.config.base import Boolean, Section, Text
+from qbxstokes.config.base import Boolean, Text
+from qbxstokes.config.model import Field, Section
 
 # Sections of a case that have no meaning where a task builds its own scenes.
 SCENE_SECTIONS = (

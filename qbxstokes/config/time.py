@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
-
-from qbxstokes.config.base import Integer, Number, Section, problem
+from qbxstokes.config.base import Integer, Number
+from qbxstokes.config.model import Field, Problem, Section
 
 
 class Time(Section):
@@ -32,24 +31,22 @@ class Time(Section):
         default=1e-10, description="error control of the time integration, relative and absolute"
     )
 
-    @model_validator(mode="after")
-    def _one_end(self) -> Time:
+    def _check(self) -> None:
         given = [name for name in ("end", "periods", "at") if getattr(self, name) is not None]
         if len(given) != 1:
             wrong = f"gives {' and '.join(given)}" if given else "does not say when to end"
-            raise problem(wrong, "give exactly one of end, periods, at")
+            raise Problem(wrong, "give exactly one of end, periods, at")
         if self.at is not None:
             if "samples" in self.model_fields_set:
-                raise problem("conflicts with at", "give one of them", ("samples",))
+                raise Problem("conflicts with at", "give one of them", ("samples",))
             if self.at[0] < 0:
-                raise problem("is before the start", "instants from 0 on", ("at", 0))
+                raise Problem("is before the start", "instants from 0 on", ("at", 0))
             if self.at[-1] == 0:
-                raise problem("has no instant after 0", "at least one positive instant", ("at",))
+                raise Problem("has no instant after 0", "at least one positive instant", ("at",))
             for index in range(1, len(self.at)):
                 if self.at[index] <= self.at[index - 1]:
-                    raise problem(
+                    raise Problem(
                         f"{self.at[index]:g} does not follow {self.at[index - 1]:g}",
                         "instants in increasing order",
                         ("at", index),
                     )
-        return self

@@ -11,10 +11,9 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BeforeValidator
-from pydantic_core import PydanticCustomError
 
-from qbxstokes.config.base import describe, entries, problem, to_number
+from qbxstokes.config.base import describe, entries, to_number
+from qbxstokes.config.model import Convert, Problem
 from qbxstokes.errors import CaseError
 
 Array = NDArray[np.float64]
@@ -85,13 +84,13 @@ def _component(value: Any) -> float | str:
         return to_number(value)
     try:
         return to_number(value)
-    except PydanticCustomError:
+    except Problem:
         pass
     try:
         function = expression_in_time(value)
         float(function(0.0))
     except (ValueError, TypeError, ArithmeticError) as error:
-        raise problem(
+        raise Problem(
             f"{describe(value)}: {error}",
             f"a number, or an expression in t of {', '.join(_FUNCTIONS)}, pi",
         ) from None
@@ -101,15 +100,15 @@ def _component(value: Any) -> float | str:
 def _table(value: dict[str, Any]) -> dict[str, Any]:
     if "table" in value:
         if set(value) != {"table"}:
-            raise problem("has more keys than table", "{table: file.csv} with columns t, 1, 2, 3")
+            raise Problem("has more keys than table", "{table: file.csv} with columns t, 1, 2, 3")
         if not isinstance(value["table"], str):
-            raise problem(f"is {describe(value['table'])}", "a file name", ("table",))
+            raise Problem(f"is {describe(value['table'])}", "a file name", ("table",))
         return {"table": value["table"]}
     if set(value) != {"times", "values"}:
-        raise problem("is neither of the tables", "{table: file.csv} or {times: [...], values: []}")
+        raise Problem("is neither of the tables", "{table: file.csv} or {times: [...], values: []}")
     times, values = value["times"], value["values"]
     if not isinstance(times, (list, tuple)) or not isinstance(values, (list, tuple)):
-        raise problem("needs lists", "{times: [t0, t1, ...], values: [[1, 2, 3], ...]}")
+        raise Problem("needs lists", "{times: [t0, t1, ...], values: [[1, 2, 3], ...]}")
     instants = [to_number(entry) for entry in times]
     rows = [[to_number(part) for part in entries(3, "[1, 0, 0]")(row)] for row in values]
     _check_table(np.array(instants), np.array(rows), ("times",))
@@ -118,16 +117,16 @@ def _table(value: dict[str, Any]) -> dict[str, Any]:
 
 def _check_table(times: Array, values: Array, key: tuple[str | int, ...] = ()) -> None:
     if len(times) < 2 or len(times) != len(values):
-        raise problem("has too few rows", "two rows or more, one per instant", key)
+        raise Problem("has too few rows", "two rows or more, one per instant", key)
     if np.any(np.diff(times) <= 0):
-        raise problem("is not in increasing order", "instants that increase", key)
+        raise Problem("is not in increasing order", "instants that increase", key)
 
 
 def timed_entry(value: Any) -> Any:
     """A validated entry as plain data; raises what a validator does."""
     if isinstance(value, str):
         if not value.rpartition(":")[0].endswith(".py"):
-            raise problem(
+            raise Problem(
                 f"is {describe(value)}",
                 f"three entries such as {_EXAMPLE}, a table, or file.py:function",
             )
@@ -136,14 +135,12 @@ def timed_entry(value: Any) -> Any:
         return _table(value)
     if isinstance(value, (list, tuple)):
         return tuple(_component(entry) for entry in entries(3, _EXAMPLE)(value))
-    raise problem(f"is {describe(value)}", f"three entries such as {_EXAMPLE}")
+    raise Problem(f"is {describe(value)}", f"three entries such as {_EXAMPLE}")
 
 
 TimedVector = Annotated[
     Any,
-    BeforeValidator(
-        timed_entry, json_schema_input_type=list[float | str] | str | dict[str, str | list[Any]]
-    ),
+    Convert(timed_entry, json=list[float | str] | str | dict[str, str | list[Any]]),
 ]
 
 
@@ -209,8 +206,8 @@ def _read_table(value: dict[str, Any], folder: Path) -> tuple[Array, Array, str]
         _check_table(numbers[:, 0], numbers[:, 1:])
     except OSError as error:
         raise CaseError(f"{path}: cannot be read ({error.strerror})") from None
-    except PydanticCustomError as error:
-        raise CaseError(f"{path}: {error.message()}") from None
+    except Problem as error:
+        raise CaseError(f"{path}: {error}") from None
     except ValueError as error:
         raise CaseError(f"{path}: {error}") from None
     return numbers[:, 0], numbers[:, 1:], str(path)
