@@ -39,6 +39,10 @@ class FlowError(CaseError):
         self.key = key
 
 
+class FlowFunctionError(FlowError):
+    """A user's function for the flow raised an exception or returned no velocities."""
+
+
 class ConvergenceError(QbxStokesError):
     """A solver or integrator stopped before it reached the tolerance that was asked for."""
 

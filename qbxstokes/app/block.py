@@ -237,8 +237,8 @@ def _compute(
             interrupted=poke,
             longest_step=None if equations.steady else float(result.times[-1]) / 50.0,
         )
-        if trajectory.refusal:
-            raise ConvergenceError(trajectory.refusal)
+        if trajectory.refusal or trajectory.failure:
+            raise ConvergenceError(trajectory.refusal or trajectory.failure)
         if not np.isfinite(trajectory.states).all():
             raise ConvergenceError("the state is not finite")
     except (ConvergenceError, FlowError, ArithmeticError) as error:

@@ -45,7 +45,8 @@ def run_motion(
     """Compute the motion on this process, write the result file, and return the summary.
 
     team: the ranks that share the set-up and the field. cache: where operators are kept. Raises
-    Interrupted where a signal asks for it, after what there is has been written and made safe.
+    Interrupted where a signal asks for it, after what there is has been written and made safe, and
+    ConvergenceError where the motion cannot be followed further, after what there is was written.
     """
     case = loaded.case
     assert case.time is not None
@@ -68,41 +69,41 @@ def run_motion(
         None if start.angular_velocity == "with_flow" else start.angular_velocity,
     )
     events = build_events(loaded, plan, equations, initial)
-    try:
-        with clock.part("motion"):
-            events.begin(0.0, initial)
-            receive = recording.receiver(equations, events)
-            interruption.listening = True
-            trajectory = integrate(
-                equations,
-                recording.start or initial,
-                plan.times,
-                case.time.tolerance,
-                on_chunk=receive,
-                interrupted=interruption.asked,
-                observe=events,
-                longest_step=None if equations.steady else float(plan.times[-1]) / 50.0,
-                **recording.limits,
-            )
-            if trajectory.refusal:
-                events.ended = ("met_singularity", trajectory.refusal)
-    except ConvergenceError:
-        recording.journal.close()
-        raise
+    with clock.part("motion"):
+        events.begin(0.0, initial)
+        receive = recording.receiver(equations, events)
+        interruption.listening = True
+        trajectory = integrate(
+            equations,
+            recording.start or initial,
+            plan.times,
+            case.time.tolerance,
+            on_chunk=receive,
+            interrupted=interruption.asked,
+            observe=events,
+            longest_step=None if equations.steady else float(plan.times[-1]) / 50.0,
+            **recording.limits,
+        )
+        if trajectory.refusal:
+            events.ended = ("met_singularity", trajectory.refusal)
     if not trajectory.finished:
         recording.save()
+        if not recording.saved:
+            raise _interrupted(recording, {}, interruption.signal)
     summary = _facts(loaded, plan, body, equations, trajectory, events, recording)
     replace = recording.overwrite or recording.replaces(recording.target)
-    record = {**provenance, "run": recording.run}
+    record = {**provenance, **recording.provenance}
     with ResultWriter(recording.target, case.task, record, replace) as writer:
         _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial, team)
-    if case.field is not None and trajectory.finished:
+    if case.field is not None and summary["complete"]:
         from qbxstokes.app.field import draw_pictures
 
         summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     recording.journal.close(remove=trajectory.finished)
     if not trajectory.finished:
         raise _interrupted(recording, summary, interruption.signal)
+    if trajectory.failure:
+        raise ConvergenceError(f"{trajectory.failure}; {summary['result']} holds the motion so far")
     summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
 
@@ -179,7 +180,8 @@ def _facts(
         "case": str(loaded.path),
         "title": case.title,
         "task": case.task,
-        "complete": trajectory.finished,
+        "complete": trajectory.finished and not trajectory.failure,
+        "failure": trajectory.failure,
         "resumed_at": recording.resumed_at,
         "jeffery_period": plan.period,
         "hydrodynamics": {
@@ -219,7 +221,9 @@ def relaxation_times(equations: RigidBodyEquations) -> dict[str, float]:
 def _interrupted(recording: Recording, summary: Mapping[str, Any], number: int) -> Interrupted:
     name = signal.Signals(number).name
     if not recording.saved:
-        return Interrupted(f"{name}: stopped before the first checkpoint; start again", number)
+        return Interrupted(
+            f"{name}: stopped within the first steps; no result was written, start again", number
+        )
     return Interrupted(
         f"{name}: stopped at t = {summary.get('end', 0.0):.6g}; {summary['result']} holds what "
         "there is; go on with the same command and --resume",

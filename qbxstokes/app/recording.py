@@ -19,7 +19,7 @@ from qbxstokes.app.quantities import quantities
 from qbxstokes.app.watch import columns_of, split_columns
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.checkpoint import Journal, discard, run_of, unfinished
+from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfinished
 from qbxstokes.io.results import MOTION_FIELDS, TIME, ResultWriter, numbered
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
@@ -31,6 +31,8 @@ SAMPLES = "samples"
 _COLUMNS = {"time": TIME, **MOTION_FIELDS}
 # Sections that may change between a run and its continuation: its numbers do not depend on them.
 _IRRELEVANT = ("title", "output", "compare", "checkpoint", "field", "sweep")
+# Names of results, with numbers, that are looked through for a run to go on with.
+_NUMBERED = 1000
 # Samples that are kept in memory for the comparison with a reference; thinned from there on.
 _KEPT = 20_000
 # Steps between cuts, where a run can be resumed: a fraction of a second of work or some seconds.
@@ -45,7 +47,8 @@ class Recording:
 
     start: where to begin, the checkpoint of an earlier run or None. target: the file the result is
     for. An unfinished run of the same result is gone on with (`resume`), replaced (`overwrite`), or
-    refused with a CaseError.
+    refused with a CaseError. finished: the result of this very run, where there is nothing left to
+    go on with.
     """
 
     def __init__(
@@ -63,9 +66,12 @@ class Recording:
         self.start: Checkpoint | None = None
         self.resumed_at: float | None = None
         self._state: dict[str, Any] | None = None
-        found = None
+        found, self.finished = None, None
         if resume:
-            found = unfinished(islice(numbered(result_path(loaded)), 1000))
+            names = list(islice(numbered(result_path(loaded)), _NUMBERED))
+            found = unfinished(names)
+            if found is None and not overwrite:
+                self.finished = self._finished(names)
         elif overwrite:
             discard(plan.output)
         else:
@@ -105,6 +111,31 @@ class Recording:
         numbers = checkpoint["integrator"]
         self.start = Checkpoint(**{**numbers, "state": np.array(numbers["state"])})
         self._state, self.resumed_at = checkpoint["events"], self.start.time
+
+    def _finished(self, names: Iterable[Path]) -> Path | None:
+        """The result that an earlier run of this case has left, None without any result.
+
+        Raises CaseError where there are results of other cases alone.
+        """
+        other = ""
+        for path in names:
+            identity = identity_of(path)
+            if identity is None:
+                continue
+            difference = _first_difference(identity, self._identity)
+            if difference is None:
+                return path
+            other = other or f"{path}: is the result of a run with another {difference}"
+        if other:
+            raise CaseError(
+                f"{other}, and no unfinished run is left to go on with; leave out --resume"
+            )
+        return None
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """What a result says of the run it came from."""
+        return {"run": self.run, "identity": json.dumps(self._identity)}
 
     # -- while it runs ------------------------------------------------------------------------
 

@@ -101,6 +101,8 @@ def compute_case(
             options.resume,
             options.overwrite or loaded.case.output.overwrite,
         )
+        if recording.finished is not None:
+            return {"result": str(recording.finished), "finished_before": True}
         return run_motion(loaded, plan, clock, record, recording, interruption, team, cache)
 
     def help_with_field(*arguments: Any) -> None:
@@ -111,6 +113,12 @@ def compute_case(
     services = {"field": help_with_field}
     with Interruption(patient=comm.rank != 0) as interruption:
         summary = on_root(comm, with_team(comm, compute, services))
+    if "finished_before" in summary:
+        if comm.rank == 0 and options.json:
+            print(json.dumps(summary, indent=2))
+        elif speak:
+            print(f"{summary['result']}: finished already, nothing to resume")
+        return 0
     if comm.rank == 0:
         for problem in summary["cache_problems"]:
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)

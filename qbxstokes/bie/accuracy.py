@@ -417,10 +417,13 @@ def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> 
         0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
         0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / max(1.0, aspect_ratio),
     )
+    # A uniform flow turns nothing: what it seems to turn is no error.
+    rounding = 1e4 * scales[0] * float(np.finfo(float).eps)
     error = np.zeros(fine.shape[:-1])
     for part, least in zip((slice(0, 3), slice(3, 6)), scales, strict=True):
         scale = np.maximum(np.linalg.norm(fine[..., part], axis=-1), least)
         change = np.linalg.norm(fine[..., part] - coarse[..., part], axis=-1)
+        change = np.maximum(0.0, change - rounding)
         error = np.maximum(error, change / np.where(scale > 0.0, scale, 1.0))
     return error
 

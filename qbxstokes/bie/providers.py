@@ -48,7 +48,8 @@ class GridMotion:
     def in_body(self, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
         """Flow on the grid (n, N, 3) and free motion (n, 6), both in the body frame."""
         points = x[:, None, :] + self._points @ rotation.swapaxes(1, 2)
-        velocity = self._flow.velocity(points, t) @ rotation
+        with np.errstate(invalid="ignore"):  # a flow without a value gives a motion without one
+            velocity = self._flow.velocity(points, t) @ rotation
         return velocity, np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
 
 

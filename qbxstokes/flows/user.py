@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.base import Array, Flow, curl, number, tensor
 from qbxstokes.flows.combination import TransformedFlow
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
@@ -71,18 +71,18 @@ class UserFlow(Flow):
         )
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Velocity (..., 3); raises FlowError if the function fails or returns anything else."""
+        """Velocity (..., 3); raises FlowFunctionError if the function fails, or returns others."""
         points = np.asarray(x, dtype=float)
         flat = points.reshape(-1, 3)
         time = (t,) if self._takes_time else ()
         try:
             result = np.asarray(self.function(flat.copy(), *time, **self.parameters))
         except (Exception, SystemExit) as error:
-            raise FlowError(
+            raise FlowFunctionError(
                 f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
             ) from error
         if result.shape != flat.shape or result.dtype.kind not in "fiu":
-            raise FlowError(
+            raise FlowFunctionError(
                 f"flow function {self.name} must return a real array of the shape of its "
                 f"points, {flat.shape}, not {result.dtype} {result.shape}",
                 ("function",),

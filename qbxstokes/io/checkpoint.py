@@ -192,13 +192,28 @@ def unfinished(targets: Iterable[Path]) -> Path | None:
 
 def run_of(path: Path) -> str | None:
     """Identifier of the run that a result file came from, None without a file of ours."""
+    return _provenance(path, "run")
+
+
+def identity_of(path: Path) -> dict[str, Any] | None:
+    """What identifies the complete run that a result holds, None without such a result."""
+    text = _provenance(path, "identity", complete=True)
+    found: dict[str, Any] | None = None if text is None else json.loads(text)
+    return found
+
+
+def _provenance(path: Path, name: str, complete: bool = False) -> str | None:
+    """An attribute of a result's provenance."""
     if not path.exists():
         return None
     import h5py
 
     try:
         with h5py.File(path, "r") as file:
-            return str(file["provenance"].attrs["run"])
+            if complete and not file["summary"].attrs["complete"]:
+                return None
+            held = file["provenance"]
+            return str(held.attrs[name] if name in held.attrs else held[name].asstr()[()])
     except (OSError, KeyError):
         return None
 

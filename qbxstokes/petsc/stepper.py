@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from petsc4py import PETSc
 
-from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast
@@ -50,6 +50,12 @@ BDF_SAMPLES = 20_000
 # Share of the longest step below which a step with a stage that has no value is given up.
 SHORTEST = 1e-4
 REASONS = {-1: "the nonlinear solve failed", -2: "too many steps were rejected"}
+NO_VALUE = "the rates of change have no finite value further on, however short the step"
+NO_BOUND = "the rates of change grow without bound"
+ADVICE = (
+    ". Try a larger tolerance, another -ts_type (implicit ones: arkimex, rosw, bdf) or "
+    "-ts_adapt_monitor to see why steps are rejected"
+)
 
 
 @dataclass(frozen=True)
@@ -94,8 +100,9 @@ class Trajectory:
 
     times (T,), states (T, n_bodies, n_state); both empty when chunks were streamed instead.
     finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
-    last sample is then that instant. refusal: what the flow said where it let no step through; it
-    ends the run as well. The record of the integration is in `checkpoint`.
+    last sample is then that instant. refusal: what the flow said where it let no step through, near
+    a singular point; failure: why the integration cannot go on; both end the run as well, with the
+    last state it reached. The record of the integration is in `checkpoint`.
     """
 
     times: Array
@@ -104,6 +111,7 @@ class Trajectory:
     finished: bool
     stopped: bool = False
     refusal: str = ""
+    failure: str = ""
 
     @property
     def method(self) -> str:
@@ -160,7 +168,7 @@ class _Counter:
     evaluations: int = 0
     jacobians: int = 0
     failure: BaseException | None = field(default=None)
-    refusal: FlowError | None = None  # the flow is singular where a stage was tried
+    refusal: FlowError | None = None  # what the flow said of the last stage it had no value for
     astray: bool = False  # a stage of the present step was where the rate has no value
 
 
@@ -191,9 +199,9 @@ def integrate(
     `chunk_steps` steps or `chunk_time` a piece, possibly without samples) and they are not kept;
     a piece of a BDF run is longer where it would have fewer than `BDF_STEPS` steps.
     observe is called after every step and may return an instant of it at which the run ends; with
-    it, a flow that refuses to be evaluated (FlowError) ends the run instead of failing it.
+    it, a step that cannot be completed ends the run (`refusal`, `failure`) instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
-    Raises ConvergenceError when a step cannot be completed.
+    Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
     instants = np.asarray(times, dtype=np.float64)
     if isinstance(start, Checkpoint):
@@ -216,6 +224,7 @@ def integrate(
         finished=finished,
         stopped=run.stopped,
         refusal=run.refusal,
+        failure=run.failure,
     )
 
 
@@ -233,7 +242,7 @@ class _Run:
         longest_step: float | None,
     ) -> None:
         self.equations, self.checkpoint, self.times = equations, checkpoint, times
-        self.stopped, self.refusal, self._longest = False, "", longest_step
+        self.stopped, self.refusal, self.failure, self._longest = False, "", "", longest_step
         self._largest = 0.0
         self.counter = _Counter(checkpoint.evaluations, checkpoint.jacobians)
         self._prefix, self._end = prefix, float(times[-1])
@@ -300,12 +309,13 @@ class _Run:
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self.checkpoint.local_tolerance or self._guide.tolerance(kind)
         self._expected = self._guide.evaluations(kind) + STAGES * len(self.times)
+        self._rate = self._rate_callback()
         if self._bodywise:
-            self._set_implicit(ts, self._rate_callback(), vector)
+            self._set_implicit(ts, self._rate, vector)
         elif (native := self._native_rate()) is not None:
             native.give(ts, vector.duplicate())
         else:
-            ts.setRHSFunction(self._rate_callback(), vector.duplicate())
+            ts.setRHSFunction(self._rate, vector.duplicate())
         weights = vector.duplicate()
         self._write(weights, self.local_tolerance * self._scales)
         ts.setTolerances(rtol=self.local_tolerance, atol=weights)
@@ -332,13 +342,16 @@ class _Run:
             def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
                 counter.evaluations += 1
                 try:
-                    rate.setArray(single(t, state.getArray(readonly=1).tolist()))
-                except (ZeroDivisionError, OverflowError):
-                    counter.astray = True
+                    values = single(t, state.getArray(readonly=1).tolist())
+                    if not math.isfinite(sum(values)):
+                        raise OverflowError
+                    rate.setArray(values)
+                except (ArithmeticError, ValueError):  # a state beyond all bounds, or no rates
+                    counter.refusal, counter.astray = None, True
                     rate.set(0.0)  # whatever comes of it is taken back
                 except FlowError as refusal:
                     counter.refusal, counter.astray = refusal, True
-                    rate.set(0.0)  # whatever comes of it is taken back
+                    rate.set(0.0)
                 except BaseException as failure:
                     counter.failure = failure
                     raise
@@ -424,7 +437,16 @@ class _Run:
         def callback(t: float, state: Any, matrix: Any) -> None:
             counter.jacobians += 1
             try:
-                function(t, self._componentwise(state.getArray(readonly=1)), blocks)
+                try:
+                    function(t, self._componentwise(state.getArray(readonly=1)), blocks)
+                except FlowError as refusal:
+                    counter.refusal, counter.astray = refusal, True
+                except ArithmeticError:
+                    counter.refusal, counter.astray = None, True
+                if equations.n_bodies == 1 and not np.isfinite(blocks).all():
+                    counter.astray = True
+                if counter.astray:
+                    blocks[:] = 0.0  # whatever comes of it is taken back
                 if equations.n_bodies == 1:
                     matrix.setValues(indices, indices, blocks[0])
                 else:
@@ -491,10 +513,11 @@ class _Run:
                 t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
                 if observe is not None:
                     halt = observe(self._observed(before, start, t))
-            except FlowError as refusal:
+            except (FlowError, ConvergenceError) as error:
                 if observe is None:
                     raise
-                t, halt, self.refusal = before, before, str(refusal)
+                self._end_by(error)
+                t, halt = before, before
                 self._vector.setArray(start)
             reach = t if halt is None else halt
             while index < len(times) and times[index] <= reach:
@@ -519,7 +542,7 @@ class _Run:
             due = (len(samples) >= chunk_samples or late) and not young
             if due or index == len(times):
                 self._cut(deliver, t, index, samples)
-                ts, samples = self._ts, []
+                ts, samples, times = self._ts, [], self.times
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
             self._cut(deliver, t, index, samples)
@@ -541,55 +564,72 @@ class _Run:
         return Step(before, after, first, last, state)
 
     def _step(self, start: Array) -> None:
-        """One accepted step from the vector `start`; whatever fails is a ConvergenceError.
+        """One accepted step from the vector `start`; else a ConvergenceError or the flow's own.
 
-        A step with a stage where the rate has no value is taken back and tried a quarter as long:
-        the error estimate does not see the stages that both formulas weigh alike.
+        A step with a stage where the rate has no value, or that ends where it has none, is taken
+        back and tried a quarter as long: the error estimate does not see the stages that both
+        formulas weigh alike.
         """
         ts, counter = self._ts, self.counter
         while True:
-            counter.astray = False
+            near, counter.astray, counter.refusal = counter.astray, False, None
             before, length, number = ts.getTime(), ts.getTimeStep(), ts.getStepNumber()
             self._try_step()
+            if near and not counter.astray:  # the end is where the next step starts
+                self._rate(ts, ts.getTime(), self._vector, self._inner)
             if not counter.astray:
+                counter.astray = near
                 self._largest = max(self._largest, ts.getTime() - before)
                 break
-            if length < SHORTEST * self._largest or length < 1e-14 * self._end:
-                raise self._failed("the rates have no value however short the step")
             self._vector.setArray(start)
             ts.setTime(before)
             ts.setStepNumber(number)
+            if length < SHORTEST * self._largest or length < 1e-14 * self._end:
+                raise self._failed("", NO_VALUE)
             ts.setTimeStep(0.25 * length)
             ts.restartStep()
         if self._monitored:
             ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
 
     def _try_step(self) -> None:
-        ts = self._ts
+        """One step of TS; what went astray is for the caller to take back."""
+        ts, before = self._ts, self._ts.getTime()
         try:
             ts.step()
         except PETSc.Error as error:
             failure = self.counter.failure
             if failure is not None:
                 raise failure from error
-            raise self._failed(str(error).strip().splitlines()[-1]) from error
+            raise self._failed(ADVICE, str(error).strip().splitlines()[-1]) from error
+        if self.counter.astray:
+            return
         reason = ts.getConvergedReason()
         if reason < 0:
-            raise self._failed(REASONS.get(reason, f"reason {reason}"))
+            if before + ts.getTimeStep() == before:
+                raise self._failed("", NO_BOUND)
+            raise self._failed(ADVICE, REASONS.get(reason, f"reason {reason}"))
         if not math.isfinite(self._vector.norm(PETSc.NormType.NORM_1)):
-            raise self._failed("the state is no longer finite")  # PETSc accepts such a step
+            # PETSc accepts such a step.
+            raise self._failed(ADVICE, "the state is no longer finite")
+        if ts.getTime() == before:
+            raise self._failed("", NO_BOUND)
         if ts.getStepNumber() >= self._most_steps:
-            raise self._failed("the largest number of steps (-ts_max_steps) is taken")
+            raise self._failed(ADVICE, "the largest number of steps (-ts_max_steps) is taken")
 
-    def _failed(self, what: str) -> ConvergenceError | FlowError:
-        ts = self._ts
-        if self.counter.refusal is not None:
-            return self.counter.refusal
+    def _failed(self, advice: str, what: str) -> ConvergenceError | FlowError:
+        """The error for a step that cannot be completed, with time and place."""
+        ts, refusal = self._ts, self.counter.refusal
+        if isinstance(refusal, FlowFunctionError):
+            what, advice = str(refusal), ""
+        elif refusal is not None:
+            return refusal
+        place = ""
+        if self.equations.n_bodies == 1:
+            centre = self._vector.getArray(readonly=1)[:3]
+            place = f"body at ({', '.join(f'{value:.6g}' for value in centre)}), "
         return ConvergenceError(
-            f"time integration ({self.method}) stopped at t = {ts.getTime():.6g}, step "
-            f"{ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}. Try a larger "
-            "tolerance, another -ts_type (implicit ones: arkimex, rosw, bdf) or -ts_adapt_monitor "
-            "to see why steps are rejected"
+            f"time integration ({self.method}) stopped at t = {ts.getTime():.6g}, {place}step "
+            f"{ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}{advice}"
         )
 
     def _state_at(self, before: float, start: Array, after: float, t: float) -> Array:
@@ -641,8 +681,20 @@ class _Run:
             first, self.times[first:index], np.array(samples).reshape(shape), self.checkpoint
         )
         deliver(chunk)
-        if index < len(self.times):
+        if index == len(self.times):
+            return
+        try:
             self._build()
+        except (FlowError, ConvergenceError) as error:
+            self._end_by(error)
+            self.stopped, self.times = True, self.times[:index]
+
+    def _end_by(self, error: FlowError | ConvergenceError) -> None:
+        """Note what lets the run go no further."""
+        if isinstance(error, FlowError) and not isinstance(error, FlowFunctionError):
+            self.refusal = str(error)
+        else:
+            self.failure = str(error)
 
 
 def _reached(t: float, end: float) -> bool:
