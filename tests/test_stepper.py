@@ -80,6 +80,25 @@ def test_tolerance_is_the_error_of_implicit_methods(method: str) -> None:
         assert np.abs(error).max() < 6.0 * tolerance
 
 
+@pytest.mark.parametrize(("k", "method"), [(0.1, "8vr"), (0.5, "bdf")])
+def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
+    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    end = (10.0 if method == "8vr" else 3.0) * jeffery.period(k)
+    times = end * np.array([0.93, 0.95, 0.97, 1.0])
+    found = integrate(equations, start_of(equations), times, 1e-15, method=method)
+    error = rotation.axis(found.states[:, 0, 3:7]) - jeffery.axis_at(times, k, AXIS)
+    assert 0.03 < np.abs(error).max() / found.reachable < 10.0
+
+
+def test_light_bodies_take_explicit_steps_where_implicit_ones_round_too_much() -> None:
+    equations = RigidBodyEquations(exact_model(0.5), SHEAR, 1e-2)
+    coarse, fine = (
+        integrate(equations, start_of(equations), [20.0], tolerance, t0=19.9).method
+        for tolerance in (1e-6, 1e-13)
+    )
+    assert (coarse, fine) == ("bdf", "8vr")
+
+
 def test_orbit_and_period_over_ten_periods() -> None:
     k = 0.5
     period = jeffery.period(k)

@@ -200,6 +200,7 @@ def _facts(
             "rhs_evaluations": trajectory.evaluations,
             "jacobians": trajectory.jacobians,
             "local_tolerance": trajectory.local_tolerance,
+            "reachable_error": trajectory.reachable,
             "quaternion_norm_drift": trajectory.norm_drift,
         },
         "events": events_summary(events),

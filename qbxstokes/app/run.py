@@ -14,6 +14,9 @@ from qbxstokes.app.parallel import guarded, on_root, world
 from qbxstokes.errors import ConvergenceError
 
 if TYPE_CHECKING:
+    from qbxstokes.config.time import Time
+
+if TYPE_CHECKING:
     from qbxstokes.config.load import LoadedCase
 
 
@@ -129,6 +132,7 @@ def compute_case(
             print(json.dumps(plain(summary), indent=2))
         elif speak:
             print(summary_text(loaded, plan, summary))
+        tell_of_rounding(loaded.case.time, summary["integration"]["reachable_error"])
         if "ended_by" in summary["events"]:
             because = summary["events"]["ended_because"]
             print(f"qbxstokes: ended at t = {summary['end']:.6g}: {because}", file=sys.stderr)
@@ -144,3 +148,13 @@ def compute_case(
             )
         return ConvergenceError.exit_status
     return 0
+
+
+def tell_of_rounding(time: Time | None, reachable: float) -> None:
+    """Say where the tolerance asked for is finer than rounding leaves any result."""
+    if time is not None and reachable > 3.0 * time.tolerance:
+        print(
+            f"qbxstokes: time.tolerance {time.tolerance:g} is out of reach: rounding alone leaves "
+            f"an error of about {reachable:.0e} at the end",
+            file=sys.stderr,
+        )

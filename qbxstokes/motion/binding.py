@@ -16,13 +16,16 @@ _LAWS = {
 
 
 def bind(
-    degree: int, finish: Callable[[str, FunctionType], Any] | None = None
+    degree: int,
+    finish: Callable[[str, FunctionType], Any] | None = None,
+    at_origin: bool = False,
 ) -> dict[str, Callable[..., Any]]:
     """Copies of all functions of `kernels.py`, by name, that call each other.
 
     The choice by degree (`free_motion_about`) is made here, once: a branch would cost a call on
     plain numbers and would keep a compiler from working on several bodies at once. `finish` makes
-    of each name and copy what the others shall call.
+    of each name and copy what the others shall call. at_origin: the flow's derivatives are those at
+    the space origin, so that nothing need be subtracted.
     """
     plain = {
         name: function
@@ -30,6 +33,8 @@ def bind(
         if isinstance(function, FunctionType) and function.__module__ == kernels.__name__
     }
     plain["free_motion_about"] = plain[_LAWS[degree]]
+    if at_origin:
+        plain["free_motion"] = plain[_LAWS[degree]]
     namespace: dict[str, Any] = dict(vars(kernels))
     for name, function in plain.items():
         copy = FunctionType(function.__code__, namespace, name, function.__defaults__)

@@ -469,13 +469,14 @@ class RigidBodyEquations:
         """dy/dt by the kernels in one piece: for polynomial flows without constraints."""
         if self._table is None or not self._unconstrained:
             return None
-        kernel = bind(int(self._table[0]))["massless" if self.massless else "inertial"]
+        bound = bind(int(self._table[0]), at_origin=not any(self._flow[5]))
+        kernel: Any = bound["massless" if self.massless else "inertial"]
         head = (self._flow, self._law, self._mobility)
         tail = () if self.massless else (self._rows(self._rates), self._gyration, self._follow)
         if self._steady_loads:
             loads = None if self._loads is None else self._rows(self._load_rows)
-            constants = (*head, loads, *tail)
-            return lambda t, rows: kernel(*rows, *constants)
+            kernel.__defaults__ = (*head, loads, *tail)  # quicker than to hand them over each time
+            return lambda t, rows: kernel(*rows)
         return lambda t, rows: kernel(*rows, *head, self._rows(self._loads_at(t)), *tail)
 
     def _pieces(self, t: float, rows: Any) -> Any:

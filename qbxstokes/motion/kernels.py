@@ -59,17 +59,27 @@ def symmetry_axis(q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar) -> Vector:
 def turning(
     d1: Scalar, d2: Scalar, d3: Scalar, gradient: Any, half: Scalar, linear: Scalar
 ) -> Vector:
-    """half * curl + linear * d x (E d) of a gradient A[i, j] given by rows, E = sym A."""
+    """half * curl + linear * d x (E d) of a gradient A[i, j] given by rows, E = sym A.
+
+    For a long body half and linear/2 are nearly equal, and for a flat one opposite, so that the two
+    terms cancel wherever the axis lingers. With E d = A d - curl x d/2 = A^T d + curl x d/2 it is
+    (half - linear/2) curl + linear (d x (A d) + d (d.curl)/2), or the same with A^T and the other
+    signs, where nothing cancels (d is of unit length).
+    """
     a11, a12, a13, a21, a22, a23, a31, a32, a33 = gradient
-    s12, s13, s23 = a12 + a21, a13 + a31, a23 + a32
-    e1 = (a11 + a11) * d1 + s12 * d2 + s13 * d3
-    e2 = s12 * d1 + (a22 + a22) * d2 + s23 * d3
-    e3 = s13 * d1 + s23 * d2 + (a33 + a33) * d3
-    c = 0.5 * linear
+    w1, w2, w3 = a32 - a23, a13 - a31, a21 - a12
+    if linear < 0.0:
+        a12, a13, a21, a23, a31, a32 = a21, a31, a12, a32, a13, a23
+        rest, along = half + 0.5 * linear, -0.5 * linear * (d1 * w1 + d2 * w2 + d3 * w3)
+    else:
+        rest, along = half - 0.5 * linear, 0.5 * linear * (d1 * w1 + d2 * w2 + d3 * w3)
+    e1 = a11 * d1 + a12 * d2 + a13 * d3
+    e2 = a21 * d1 + a22 * d2 + a23 * d3
+    e3 = a31 * d1 + a32 * d2 + a33 * d3
     return (
-        half * (a32 - a23) + c * (d2 * e3 - d3 * e2),
-        half * (a13 - a31) + c * (d3 * e1 - d1 * e3),
-        half * (a21 - a12) + c * (d1 * e2 - d2 * e1),
+        rest * w1 + linear * (d2 * e3 - d3 * e2) + along * d1,
+        rest * w2 + linear * (d3 * e1 - d1 * e3) + along * d2,
+        rest * w3 + linear * (d1 * e2 - d2 * e1) + along * d3,
     )
 
 

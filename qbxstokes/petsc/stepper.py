@@ -63,8 +63,8 @@ class Checkpoint:
     """All that a run needs to go on, and its record so far; only `time` and `state` at the start.
 
     state (n_bodies, n_state); step: the next one, 0 to choose; next_sample: index into the times.
-    method and local_tolerance are those of the run from its start. norm_drift: largest | |q| - 1 |
-    that any cut met before it was removed.
+    method, local_tolerance and reachable are those of the run from its start; see `Trajectory`.
+    norm_drift: largest | |q| - 1 | that any cut met before it was removed.
     """
 
     time: float
@@ -73,6 +73,7 @@ class Checkpoint:
     next_sample: int = 0
     method: str = ""
     local_tolerance: float = 0.0
+    reachable: float = 0.0
     steps: int = 0
     rejections: int = 0
     evaluations: int = 0
@@ -122,6 +123,11 @@ class Trajectory:
     def local_tolerance(self) -> float:
         """What the error of a step was held to."""
         return self.checkpoint.local_tolerance
+
+    @property
+    def reachable(self) -> float:
+        """About the error at the end that rounding alone leaves, however fine the tolerance."""
+        return self.checkpoint.reachable
 
     @property
     def steps(self) -> int:
@@ -308,6 +314,7 @@ class _Run:
         self._bodywise = kind not in EXPLICIT_TYPES
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self.checkpoint.local_tolerance or self._guide.tolerance(kind)
+        self.reachable = self.checkpoint.reachable or self._guide.reachable(kind)
         self._expected = self._guide.evaluations(kind) + STAGES * len(self.times)
         self._rate = self._rate_callback()
         if self._bodywise:
@@ -669,6 +676,7 @@ class _Run:
             next_sample=index,
             method=self.method,
             local_tolerance=self.local_tolerance,
+            reachable=self.reachable,
             steps=ts.getStepNumber(),
             rejections=old.rejections + ts.getStepRejections(),
             evaluations=self._evaluations,
