@@ -146,9 +146,12 @@ class MonitoredGridMotion:
             places, turns = x[waiting], rotation[waiting]
             flow, motion[waiting] = fine.in_body(t, places, turns)
             _, rough = coarse.in_body(t, places, turns)
-            change = motion_change(motion[waiting], rough, flow, k)
+            with np.errstate(invalid="ignore"):
+                change = motion_change(motion[waiting], rough, flow, k)
             self.finest = max(self.finest, level)
-            waiting = waiting[~(change <= self._least)]
+            # No grid helps where the flow has no value: the motion has none, either.
+            open_still = np.isfinite(motion[waiting]).all(axis=1) & ~(change <= self._least)
+            waiting, change = waiting[open_still], change[open_still]
             if not len(waiting):
                 return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
             if level[0] >= MOST_NODES:
