@@ -110,6 +110,26 @@ def test_small_stokes_numbers_drift_by_the_averaged_rate(k: float) -> None:
     assert np.sign(rolling) == np.sign(tumbling) == np.sign(1.0 - k)
 
 
+@pytest.mark.parametrize(("k", "lag"), [(0.2, 1.0), (0.5, 10.0), (2.0, 0.5)])
+def test_measured_orbit_drift_is_the_exact_exponent(k: float, lag: float) -> None:
+    study = import_module(MAKERS["orbit_drift"])
+    rows = study.compute(k=k, stokes_numbers=[lag * heavy.relaxation_rates(k)[2]])
+    assert {row["orbit"] for row in rows} >= {"rolling"}
+    for row in rows:
+        if row["orbit"] != "C = 1":
+            assert row["rate"] == pytest.approx(row["theory"], rel=2e-3)
+
+
+def test_tilt_of_a_heavy_flat_body_decays_without_turning() -> None:
+    rate = heavy.relaxation_rates(5.0)[2]
+    light, late = (heavy.rolling_mode(5.0, lag * rate) for lag in (0.01, 10.0))
+    assert light.imag == pytest.approx(5.0 / 26.0, rel=1e-2)
+    assert late.imag == 0.0
+    study = import_module(MAKERS["orbit_drift"])
+    rows = study.compute(k=5.0, stokes_numbers=[10.0 * rate])
+    assert all(row["orbit"] != "rolling" for row in rows)
+
+
 @pytest.mark.parametrize("k", [0.2, 0.5, 2.0, 5.0])
 def test_lateral_drift_goes_to_higher_shear_and_dies_out(k: float) -> None:
     small = heavy.small_stokes_drift(k)
@@ -234,6 +254,11 @@ def test_blocks_are_plain_data_and_tables_and_figures_fit(name: str) -> None:
         assert len({json.dumps(block) for block in blocks}) == len(blocks)
     tables = study.tables([])
     assert all(isinstance(table, Table) and not len(table) for table in tables)
+    for table in tables:
+        names = {column.name for column in table.columns}
+        for key in ("x", "y", "by", "value"):
+            wanted = table.plot.get(key, [])
+            assert names >= set([wanted] if isinstance(wanted, str) else wanted)
 
 
 CASE = """\
@@ -262,6 +287,9 @@ def test_study_runs_resumes_and_draws(
     assert np.allclose(table["ratio"][rolling], 1.0, atol=1e-4)
     assert (table["exponential"][rolling] == 1.0).all()
     assert (table["exponential"] == (table["misfit"] < 0.01)).all()
+    drawn = run_cli("plot", tmp_path / "out.h5", "--output", tmp_path / "drawn", "--format", "png")
+    assert drawn.returncode == 0, drawn.stderr
+    assert [path.suffix for path in (tmp_path / "drawn").iterdir()] == [".png"]
     picture = tmp_path / "out_acceleration.png"
     assert picture.read_bytes()[:4] == b"\x89PNG"
     assert picture.stat().st_size < 150_000

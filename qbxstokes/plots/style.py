@@ -142,7 +142,7 @@ def units_text(units: str) -> str:
     """Units as a formula: "mu c^2/tau" becomes "$\\mu c^2/\\tau$"; nothing for a pure number."""
     if units in ("", "1"):
         return ""
-    if units in ("rad", "s", "B"):
+    if units in ("rad", "deg", "s", "B"):
         return units
     names = {"mu": r"\mu", "tau": r"\tau"}
     words = units.replace("1/tau", r"\tau^{-1}").replace("/", " / ").split()

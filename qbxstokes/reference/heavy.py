@@ -259,7 +259,11 @@ def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array |
 
 
 def mean_rotation_rate(k: float, stokes_number: float) -> float:
-    """Mean rate of tumbling in the plane of shear: k/(1+k^2) for St = 0, 1/2 for St -> infinity."""
+    """Mean rate of tumbling in the plane of shear: k/(1+k^2) for St = 0, 1/2 for St -> infinity.
+
+    With t = St J1/R large, p = 1/2 + p1/t + p2/t^2 + ..., p1 = lambda/2 sin 2a, <p2> = 0, so that
+    the mean of 1/p gives 1/2 - lambda^2/(4 t^2). The equation holds lambda^2 and t alone.
+    """
     return tumbling(k, stokes_number).rate
 
 

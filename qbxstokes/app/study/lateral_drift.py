@@ -206,7 +206,13 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             "Positive: towards higher shear. Exactly zero for a sphere, and with inertia of the "
             "rotation alone."
         ],
-        plot={"x": "stokes_number", "y": "drift", "by": ["aspect_ratio", "inertia"]},
+        plot={
+            "x": "stokes_number",
+            "y": "drift",
+            "by": "aspect_ratio",
+            "scale": "loglog",
+            "points": True,
+        },
     )
     orbits = Table(
         "drift_on_orbits",
@@ -339,19 +345,22 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         scale = heavy.relaxation_rates(k)[0]
         for parts, look in dashes.items():
             chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == parts)
-            x, y = (drift[name][chosen] for name in ("stokes_number", "drift"))
-            fine = np.geomspace(np.min(x), np.max(x), 60)
+            # At the shear rate where the body was: St counts with that rate.
+            x = drift["stokes_number"][chosen] * drift["local_rate"][chosen]
+            fine = np.geomspace(np.min(x), np.max(x), 80)
             exact = np.array([heavy.drift(k, float(s), parts) for s in fine])
-            joined = exact * (1.0 / (light * fine) + fine / last)
-            panels[1].plot(fine / scale, joined, color=color, linestyle=look,
-                           label=f"$k={k:g}$, {parts}")  # fmt: skip
-            panels[1].plot(x / scale, y * (1.0 / (light * x) + x / last), marker, color=color,
-                           markerfacecolor="white")  # fmt: skip
+            panels[1].plot(fine / scale, exact * (1.0 / (light * fine) + fine / last),
+                           color=color, linestyle=look)  # fmt: skip
+            y = drift["drift"][chosen] * (1.0 / (light * x) + x / last)
+            face = "white" if parts == "translation" else color
+            panels[1].plot(x / scale, y, marker, color=color, markerfacecolor=face)
+    for text, look in (("both", "solid"), ("translation alone", (0, (4, 1.5)))):
+        panels[1].plot([], [], color=style.BLACK, linestyle=look, label=text)
     panels[1].axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
     panels[1].set_xscale("log")
     panels[1].set_xlabel(r"$\mathrm{St}\,\Theta/R_1$")
     panels[1].set_ylabel(r"drift$\,/\,$limits of small and large $\mathrm{St}$, joined")
-    panels[1].legend(loc="upper right", title="inertia")
+    panels[1].legend(loc="lower left", title="inertia")
     index = 0
     for k in (0.5, 2.0):
         rest = (drift["aspect_ratio"] == k) & (drift["inertia"] == "both")

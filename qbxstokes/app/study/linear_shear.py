@@ -130,7 +130,7 @@ def _history(k: float, stokes: float) -> list[dict[str, Any]]:
             "angle": float(a / np.pi),
             "speed": float(-w),
         }
-        for a, w in zip(angle[::4], spin[::4], strict=True)
+        for a, w in zip(angle, spin, strict=True)
         if -1.02 <= a / np.pi <= 0.02
     ]
 
