@@ -120,7 +120,8 @@ def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: fl
     y = random_state(block)
     assert np.array_equal(rates(block, y), np.concatenate([rates(single, row[None]) for row in y]))
     each = np.concatenate([jacobian(single, row[None]) for row in y])
-    assert np.allclose(jacobian(block, y), each, rtol=1e-14, atol=1e-14)
+    # Rows and plain numbers round complex products differently, by the size of what cancels.
+    assert np.abs(jacobian(block, y) - each).max() < 4.0 * np.finfo(float).eps * np.abs(each).max()
 
 
 @pytest.mark.parametrize(("stokes_number", "degree"), [(0.0, 1), (2.0, 2)])

@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +16,17 @@ from qbxstokes import __version__
 from qbxstokes.config.load import LoadedCase
 
 
-def provenance(loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str]) -> dict[str, Any]:
-    """What the group `provenance` of a result holds."""
+def provenance(
+    loaded: LoadedCase,
+    PETSc: Any,
+    ranks: int,
+    petsc: Sequence[str],
+    revision: Callable[[], str] | None = None,
+) -> dict[str, Any]:
+    """What the group `provenance` of a result holds.
+
+    revision: what `asked_revision` gave earlier, where its time is not to be waited for.
+    """
     return {
         "title": loaded.case.title,
         "case_file": str(loaded.path),
@@ -25,7 +34,7 @@ def provenance(loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str])
         "overrides": json.dumps(list(loaded.document.overrides.values())),
         "resolved_case": json.dumps(loaded.resolved()),
         "version": __version__,
-        "git_revision": git_revision(),
+        "git_revision": (revision or asked_revision())(),
         "python": platform.python_version(),
         **{name: import_module(name).__version__ for name in ("numpy", "h5py", "mpi4py")},
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
@@ -50,18 +59,29 @@ def machine() -> str:
     return f"{name}, {os.cpu_count()} cores, {platform.platform()}"
 
 
-def git_revision() -> str:
-    """Revision of the checkout this package runs from; empty for an installed package."""
+def asked_revision() -> Callable[[], str]:
+    """Ask git for the revision of the checkout this package runs from; the result tells it.
+
+    Empty for an installed package.
+    """
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
-        return ""
+        return str
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
-        return subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        ).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
+        asked = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+    except OSError:
+        return str
+
+    def answer() -> str:
+        try:
+            told, _ = asked.communicate(timeout=5)
+        except (OSError, subprocess.SubprocessError):
+            asked.kill()
+            asked.communicate()
+            return ""
+        return told.strip() if asked.returncode == 0 else ""
+
+    return answer

@@ -79,22 +79,23 @@ def compute_case(
             print(json.dumps({"case": str(path), "plan": plan_facts(plan)}, indent=2))
         return 0
     with clock.part("start PETSc"):
+        from qbxstokes.app.provenance import asked_revision, provenance
         from qbxstokes.petsc import session
 
+        revision = asked_revision() if comm.rank == 0 else None
         PETSc = session.start(petsc, loaded.case.petsc)
 
     with clock.part("import"):
         from qbxstokes.app.body import open_cache
         from qbxstokes.app.interrupt import Interruption
         from qbxstokes.app.motion import run_motion
-        from qbxstokes.app.provenance import provenance
         from qbxstokes.app.recording import Recording
         from qbxstokes.app.rows import RowTeam, with_team
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
     # ranks gives the numbers of one. Only the rows of the operators are formed by all.
     def compute(team: RowTeam) -> dict[str, Any]:
-        record = provenance(loaded, PETSc, comm.size, petsc)
+        record = provenance(loaded, PETSc, comm.size, petsc, revision)
         # Options of the solver want to be seen at work.
         cache = open_cache(loaded, options.no_cache or bool(session.solver_options(PETSc)))
         recording = Recording(

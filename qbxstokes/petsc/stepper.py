@@ -511,7 +511,7 @@ class _Run:
         index, t = self.checkpoint.next_sample, self.checkpoint.time
         samples: list[Array] = []
         while index < len(times) and times[index] <= t:
-            samples.append(self._sample(self._read(self._vector)))
+            samples.append(self._read(self._vector))
             index += 1
         cut = self.checkpoint.steps + chunk_steps
         while index < len(times):
@@ -532,13 +532,13 @@ class _Run:
                 self._vector.setArray(start)
             reach = t if halt is None else halt
             while index < len(times) and times[index] <= reach:
-                samples.append(self._sample(self._state_at(before, start, t, times[index])))
+                samples.append(self._state_at(before, start, t, times[index]))
                 index += 1
             if halt is not None:
                 # The run becomes one that was to end here.
                 self.stopped, last = True, self._state_at(before, start, t, halt)
                 if not (index and times[index - 1] == halt):
-                    samples.append(self._sample(last.copy()))
+                    samples.append(last.copy())
                     self.times = np.append(times[:index], halt)
                     index += 1
                 self.times = times = self.times[:index]
@@ -661,10 +661,6 @@ class _Run:
         sampler.step()
         return self._read(self._inner)
 
-    def _sample(self, state: Array) -> Array:
-        state[:, 3:7] = rotation.normalize(state[:, 3:7])
-        return state
-
     def _cut(
         self, deliver: Callable[[Chunk], None], t: float, index: int, samples: list[Array]
     ) -> None:
@@ -675,7 +671,7 @@ class _Run:
         old = self.checkpoint
         self.checkpoint = Checkpoint(
             time=t,
-            state=self._sample(state),
+            state=_of_unit_length(state),
             step=float(ts.getTimeStep()),
             next_sample=index,
             method=self.method,
@@ -688,11 +684,8 @@ class _Run:
             norm_drift=max(old.norm_drift, drift),
         )
         first = index - len(samples)
-        shape = (len(samples), *state.shape)
-        chunk = Chunk(
-            first, self.times[first:index], np.array(samples).reshape(shape), self.checkpoint
-        )
-        deliver(chunk)
+        states = np.array(samples).reshape(len(samples), *state.shape)
+        deliver(Chunk(first, self.times[first:index], _of_unit_length(states), self.checkpoint))
         if index == len(self.times):
             return
         try:
@@ -707,6 +700,12 @@ class _Run:
             self.refusal = str(error)
         else:
             self.failure = str(error)
+
+
+def _of_unit_length(states: Array) -> Array:
+    """The states (..., n_state), with their quaternions set to length 1."""
+    states[..., 3:7] = rotation.normalize(states[..., 3:7])
+    return states
 
 
 def _reached(t: float, end: float) -> bool:
