@@ -124,6 +124,18 @@ def test_samples_are_as_good_as_steps(method: str) -> None:
     assert error.max() < 3.0 * tolerance
 
 
+@pytest.mark.parametrize(("k", "tolerance"), [(0.5, 1e-6), (0.5, 1e-12), (0.1, 1e-10), (20, 1e-9)])
+def test_many_states_of_a_step_are_as_good_as_few(k: float, tolerance: float) -> None:
+    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    end = 0.7 * jeffery.period(k)
+    few = integrate(equations, start_of(equations), [end], tolerance, method="8vr")
+    times = np.linspace(0.0, end, 40 * few.steps)
+    many = integrate(equations, start_of(equations), times, tolerance, method="8vr")
+    assert many.evaluations < few.evaluations + 33 * many.steps
+    error = np.abs(rotation.axis(many.states[:, 0, 3:7]) - jeffery.axis_at(times, k, AXIS))
+    assert error.max() < 3.0 * tolerance
+
+
 def test_samples_do_not_change_the_motion() -> None:
     equations = RigidBodyEquations(exact_model(0.5), SHEAR)
     few = integrate(equations, start_of(equations), [20.0])

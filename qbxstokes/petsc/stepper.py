@@ -16,7 +16,10 @@ between the steps leave the motion as it is and are as accurate as it is.
 Samples. A step from (t, y) to t + h is one application of the method's formula; the state at an
 instant inside it is the same formula with a shorter step from the same (t, y), taken by a second
 TS: as accurate as the steps, for the cost of one. PETSc's own interpolant serves where its order
-suffices (`INTERPOLANT_SUFFICES`); it is linear for 8vr.
+suffices (`INTERPOLANT_SUFFICES`); it is linear for 8vr. Where more than `FEW` states are wanted of
+one step, two are made so, at its thirds, and the rest follow from the polynomial of degree 7 that
+has the states and rates of the ends and the thirds. With a radius of convergence r of the motion it
+errs by 1.5e-4 (h/r)^8 at most, about what the step does: 30 right-hand sides, however many states.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
@@ -48,6 +51,8 @@ Array = NDArray[np.float64]
 # Formulas whose own interpolant is as good as the steps (measured, tests/test_stepper.py).
 INTERPOLANT_SUFFICES = ("5dp", "bdf")
 RK_FORMULAS = ("5dp", "8vr")
+# States inside one step up to which each is made by the method's formula.
+FEW = 2
 # Fewest steps of BDF between two cuts, unless so many samples wait.
 BDF_STEPS = 1000
 BDF_SAMPLES = 20_000
@@ -261,6 +266,7 @@ class _Run:
         self._native: Any = None
         database = PETSc.Options()
         self._monitored = any(name.startswith(f"{prefix}ts_monitor") for name in database.getAll())
+        self._inside: tuple[float, Array] | None = None
         self._ts: Any = None
         self._sampler: Any = None
         self._build()
@@ -531,8 +537,10 @@ class _Run:
                 t, halt = before, before
                 self._vector.setArray(start)
             reach = t if halt is None else halt
-            while index < len(times) and times[index] <= reach:
-                samples.append(self._state_at(before, start, t, times[index]))
+            behind = int(np.searchsorted(times, reach, "right"))
+            many = behind - index > FEW
+            while index < behind:
+                samples.append(self._state_at(before, start, t, times[index], many))
                 index += 1
             if halt is not None:
                 # The run becomes one that was to end here.
@@ -569,8 +577,12 @@ class _Run:
         end = self._vector.getArray(readonly=1)
         first, last = (np.array(self._componentwise(values).T) for values in (start, end))
 
+        asked = 0
+
         def state(t: float) -> Array:
-            return first if t <= before else self._state_at(before, start, after, t)
+            nonlocal asked
+            asked += before < t < after
+            return first if t <= before else self._state_at(before, start, after, t, asked > 1)
 
         return Step(before, after, first, last, state)
 
@@ -643,13 +655,43 @@ class _Run:
             f"{ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}{advice}"
         )
 
-    def _state_at(self, before: float, start: Array, after: float, t: float) -> Array:
-        """State at t in [before, after], where `start` is the vector at `before`."""
+    def _state_at(
+        self, before: float, start: Array, after: float, t: float, many: bool = False
+    ) -> Array:
+        """State at t in [before, after], where `start` is the vector at `before`.
+
+        many: whether so many states of this step are wanted that its polynomial is worth while.
+        """
         if t == after:
             return self._read(self._vector)
         if self.method in INTERPOLANT_SUFFICES:
             self._ts.interpolate(t, self._inner)
-            return self._read(self._inner)
+        elif many and self._native is None:
+            if self._inside is None or self._inside[0] != before:
+                self._inside = before, self._nodes(before, start, after)
+            weights = _hermite((t - before) / (after - before), after - before)
+            self._inner.setArray(weights @ self._inside[1])
+        else:
+            self._substep(before, start, after, t)
+        return self._read(self._inner)
+
+    def _nodes(self, before: float, start: Array, after: float) -> Array:
+        """States at the ends and the thirds of a step, then the rates there, (8, n)."""
+        states, rates = [], []
+        slope = self._inner.duplicate()
+        for node in THIRDS:
+            t = before + node * (after - before)
+            if node in (0.0, 1.0):
+                self._inner.setArray(start if node == 0.0 else self._vector.getArray(readonly=1))
+            else:
+                self._substep(before, start, after, t)
+            self._rate(self._ts, t, self._inner, slope)
+            states.append(self._inner.getArray(readonly=1).copy())
+            rates.append(slope.getArray(readonly=1).copy())
+        return np.array(states + rates)
+
+    def _substep(self, before: float, start: Array, after: float, t: float) -> None:
+        """The formula of the step, only as far as t, to the inner vector."""
         if self._sampler is None:
             self._sampler = self._integrator(self._inner, adaptive=False)
         sampler = self._sampler
@@ -659,7 +701,6 @@ class _Run:
         sampler.setMaxTime(2.0 * after - before)
         sampler.restartStep()
         sampler.step()
-        return self._read(self._inner)
 
     def _cut(
         self, deliver: Callable[[Chunk], None], t: float, index: int, samples: list[Array]
@@ -700,6 +741,23 @@ class _Run:
             self.refusal = str(error)
         else:
             self.failure = str(error)
+
+
+THIRDS = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
+_APART = THIRDS[:, None] - THIRDS + np.eye(4)
+_SLOPES = np.sum(1.0 / _APART, axis=1) - 1.0  # of each Lagrange polynomial at its own node
+
+
+def _hermite(place: float, step: float) -> Array:
+    """Weights (8,) of states and rates at the thirds of a step for a place within it, 0 to 1.
+
+    Hermite's formula: (1 - 2 (x - x_i) l_i'(x_i)) l_i(x)^2 and (x - x_i) l_i(x)^2 with Lagrange's
+    polynomials l_i (Abramowitz and Stegun 1964, eq. 25.2.5 for l_i).
+    """
+    away = place - THIRDS
+    factors = np.where(np.eye(4, dtype=bool), 1.0, away[None, :]) / _APART
+    squares = np.prod(factors, axis=1) ** 2
+    return np.concatenate([(1.0 - 2.0 * away * _SLOPES) * squares, step * away * squares])
 
 
 def _of_unit_length(states: Array) -> Array:
