@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import h5py
 import numpy as np
 import pytest
 
+from qbxstokes.app.cli import run_command
+from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
 from qbxstokes.io.results import load
 from qbxstokes.io.vtkhdf import export
@@ -169,6 +173,59 @@ def test_ranks_give_the_same_field(case, write_case, run_cli, mpirun, tmp_path):
     assert ("error/error" in one) == (case is not MOTION)
     for name in ("errors", "points", "hydrodynamics"):
         assert summaries[0][name] == summaries[1][name]
+
+
+def test_tracers_do_not_cross_the_surface_of_a_tumbling_body(write_case, tmp_path, monkeypatch):
+    """They start a hair above a slender body, which turns over and carries them along."""
+    k, above = 0.2, 1e-8
+    theta = np.linspace(0.1, 3.0, 9)
+    starts = (1.0 + above) * np.stack([k * np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
+    case = {
+        "body": {"aspect_ratio": k},
+        "flow": {"type": "shear"},
+        "start": {"orientation": {"axis": [0, 1, 0]}},
+        "time": {"periods": 0.5, "samples": 41},
+        "field": {
+            "shells": {"distances": [0.0], "shape": [3, 4]},
+            "tracers": {"points": starts.tolist(), "samples": 41, "frame": "body"},
+            "vtk": False,
+            "check": 0,
+        },
+    }
+    monkeypatch.chdir(tmp_path)
+    assert run_command([write_case(case).name, "--quiet"]) == 0
+    result = load(tmp_path / "case.h5")
+    tracers = result.groups["field"]["tracers"]
+    assert np.allclose(tracers["time"], result.time)
+    arms = tracers["points"] - tracers["position"][:, None]
+
+    def levels(orientation: np.ndarray) -> np.ndarray:
+        inside = np.einsum("tji,tnj->tni", rotation.matrix(orientation), arms)
+        return np.sum((inside / [k, k, 1.0]) ** 2, axis=-1)
+
+    level = levels(tracers["orientation"])
+    assert level.min() >= 1.0 - 1e-14
+    # Nor that of the motion itself, which was integrated by another method.
+    assert levels(result.orientation).min() > 1.0
+    assert level[-1].max() < 1.0 + 1e-3  # nor do they leave it soon
+    assert np.linalg.norm(arms[-1, 0] - arms[0, 0]) > 1.0
+
+
+@pytest.mark.parametrize("call", ["posix_fallocate", "pwrite"])
+def test_a_full_disk_ends_a_field_in_one_line(call, write_case, tmp_path, monkeypatch, capfd):
+    path = write_case(CASE)
+    monkeypatch.chdir(tmp_path)
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, full)
+        assert run_command([path.name, "--quiet"]) == 1
+    told = capfd.readouterr().err.splitlines()
+    reason = os.strerror(errno.ENOSPC)
+    assert told == [f"qbxstokes: case.h5: cannot be written ({reason})"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["case.yaml"]
 
 
 def test_field_of_a_motion(write_case, run_cli, tmp_path):

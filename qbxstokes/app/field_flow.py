@@ -225,6 +225,13 @@ class FieldFlow:
             moved = carried_rate(carried, relative, k, unit_speed=False)
             return np.concatenate([out[:, 0], moved.ravel()])
 
+        # The body moves as accurately as in the motion itself, so that a tracer near its surface is
+        # outside there, too.
+        assert self.loaded.case.time is not None
+        sensitivity = equations.sensitivity(0.0, body[None], float(times[-1]))
+        tolerance = np.full(n_body + N_STATE * int(good.sum()), asked.tolerance)
+        tolerance[:n_body] = min(asked.tolerance, self.loaded.case.time.tolerance) / sensitivity
+        tolerance = np.maximum(tolerance, 1e-13)
         with self.clock.part("tracers"):
             solution = solve_ivp(
                 rate,
@@ -232,14 +239,15 @@ class FieldFlow:
                 np.concatenate([body, states[good].ravel()]),
                 method="DOP853",
                 t_eval=times,
-                rtol=max(asked.tolerance, 1e-13),
-                atol=asked.tolerance,
+                rtol=tolerance,
+                atol=tolerance,
             )
         if not solution.success:
             raise ConvergenceError(f"the paths of the tracers stopped: {solution.message}")
         points = np.full((len(times), len(states), 3), np.nan)
         carried = np.moveaxis(solution.y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
-        turns = rotation.matrix(rotation.normalize(solution.y[3:7].T))
-        relative = np.einsum("tij,tnj->tni", turns, to_points(carried, k))
+        quaternions = rotation.normalize(solution.y[3:7].T)
+        relative = np.einsum("tij,tnj->tni", rotation.matrix(quaternions), to_points(carried, k))
         points[:, good] = relative + solution.y[:3].T[:, None]
-        return {"time": times, "points": points, "position": solution.y[:3].T.copy()}
+        position = solution.y[:3].T.copy()
+        return {"time": times, "points": points, "position": position, "orientation": quaternions}

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -90,15 +91,14 @@ class FieldWork:
         raised on all ranks.
         """
         self.flow.form(self.instants[0])
-        path, places = on_root(self.comm, lambda: self._lay_out(writer))
-        found = self._share_out(path, places)
+        found = self._share_out(*on_root(self.comm, lambda: self._lay_out(writer)))
         everything = [found] if self.comm.size == 1 else self.comm.gather(found)
         if writer is None:
             return {}
         return self._conclude(writer.file[store.GROUP], everything)
 
-    def _lay_out(self, writer: ResultWriter | None) -> tuple[Any, dict[str, int]]:
-        """On rank 0: the group with room for all points, and where that is."""
+    def _lay_out(self, writer: ResultWriter | None) -> tuple[Path, Path, dict[str, int]]:
+        """On rank 0: the group with room for all points; the result, its file, and places in it."""
         assert writer is not None
         times = np.array([instant.time for instant in self.instants])
         sets = {target.name: target.shape for target in self.flow.targets}
@@ -107,7 +107,7 @@ class FieldWork:
         for target in self.flow.targets:
             store.put_arrays(group, target.name, target.parameters, {"frame": target.frame})
         writer.claim()
-        return writer.temporary.resolve(), places
+        return writer.path, writer.temporary.resolve(), places
 
     def tasks(self) -> list[Task]:
         """All tasks, at each instant the dear ones first."""
@@ -151,7 +151,7 @@ class FieldWork:
 
     # -- on every rank ------------------------------------------------------------------------
 
-    def _share_out(self, path: Any, places: Mapping[str, int]) -> Found:
+    def _share_out(self, result: Path, path: Path, places: Mapping[str, int]) -> Found:
         """Do tasks until none is left; an error of any rank ends the work of all."""
         found, tasks = Found(), self.tasks()
         counters = HandOut(self.comm)
@@ -165,7 +165,7 @@ class FieldWork:
             found.failure = error
         except OSError as error:
             reason = error.strerror or str(error)
-            found.failure = OutputError(f"{path}: cannot be written ({reason})")
+            found.failure = OutputError(f"{result}: cannot be written ({reason})")
         if found.failure is not None:
             counters.add(handout.BLOCKS, len(tasks))
         with self.clock.part("waiting"):

@@ -130,7 +130,10 @@ class Journal:
         _lock(self._stream, self.folder)
 
     def _unwritable(self, error: OSError) -> OutputError:
-        return OutputError(f"{self.folder}: cannot be written ({error.strerror or error})")
+        return OutputError(
+            f"{self.folder}: cannot be written ({error.strerror or error}). What it holds is kept: "
+            "make room and run again with --resume"
+        )
 
     @classmethod
     def reopened(cls, target: Path) -> tuple[Journal, dict[str, Any]]:
