@@ -55,10 +55,10 @@ def tables(work: Work) -> Iterator[Table]:
             Column("ratio", "", "plain upsampling over the table", ".3g"),
         ),
         plot={
-            "x": "distance",
-            "y": ["table", "quadrature", "plain"],
-            "by": "tolerance",
-            "scale": "loglog",
+            "panels": [
+                {"x": "distance", "y": way, "by": "tolerance", "scale": "loglog"}
+                for way in ("table", "quadrature", "plain")
+            ]
         },
     )
     for row in rows:

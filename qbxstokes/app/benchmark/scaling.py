@@ -75,15 +75,15 @@ def growths(work: Work) -> Iterator[Growth]:
     yield Growth(
         row,
         "n_theta",
-        sizes((8, 16), (16, 32, 64, 128)),
-        1.0,
-        "sources do not grow, interpolation does",
+        sizes((8, 16), (128, 256, 512)),
+        2.0,
+        "panels shorten with the nodes, each interpolates from all",
         lambda n: _row(n_theta=n),
     )
     yield Growth(
         row,
         "order p",
-        sizes((8, 32), (20, 40, 80, 160)),
+        sizes((8, 32), (80, 160, 320, 640)),
         1.0,
         "recurrences of length p",
         lambda p: _row(order=p),
@@ -101,7 +101,7 @@ def growths(work: Work) -> Iterator[Growth]:
         "n_theta",
         sizes((8, 16), (32, 64, 128)),
         2.0,
-        "a dense block per mode",
+        "a dense block per mode; more once it leaves the cache",
         _apply,
     )
     yield Growth(
