@@ -295,6 +295,21 @@ def test_study_runs_resumes_and_draws(
     assert picture.stat().st_size < 150_000
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in MAKERS if name != "acceleration"])
+def test_small_studies_run_draw_and_pass(
+    name: str, run_cli: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    done = run_cli(write_case(CASE.replace("acceleration", name)), "--quiet")
+    assert done.returncode == 0, done.stderr
+    tables = [Table.read_csv(path) for path in tmp_path.glob("out_*.csv")]
+    assert tables
+    assert all(len(table) for table in tables)
+    assert any(tmp_path.glob("out_*.png"))
+    drawn = run_cli("plot", tmp_path / "out.h5", "--output", tmp_path / "drawn", "--format", "png")
+    assert drawn.returncode == 0, drawn.stderr
+
+
 def test_unfinished_study_is_kept_and_told(
     run_cli: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
 ) -> None:

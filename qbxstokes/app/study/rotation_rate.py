@@ -143,41 +143,38 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     from qbxstokes.plots import style
 
     rates, summary = made["rotation_rate"], made["transition"]
-    figure = style.new_figure(style.PAGE, 2.7)
-    panels = figure.subplots(1, 2)
-    ratios = sorted(set(rates["aspect_ratio"].tolist()))
-    for index, k in enumerate(ratios):
-        look = style.line_style(index % 7)
+    figure = style.new_figure(style.PAGE, 2.5)
+    panels = figure.subplots(1, 3)
+    for index, k in enumerate(sorted(set(rates["aspect_ratio"].tolist()))):
+        color, _, marker = style.LINES[index % 7]
         chosen = rates["aspect_ratio"] == k
-        order = np.argsort(rates["stokes_number"][chosen])
-        x = rates["stokes_number"][chosen][order]
-        fine = np.geomspace(x[0], x[-1], 80)
-        panels[0].plot(
-            fine,
-            [heavy.mean_rotation_rate(k, s) for s in fine],
-            color=look["color"],
-            linestyle="solid" if k < 1.0 else (0, (4, 1.5)),
-        )
-        panels[0].plot(
-            x,
-            rates["rotation_rate"][chosen][order],
-            style.LINES[index % 7][2],
-            color=look["color"],
-            markerfacecolor="white" if k < 1.0 else look["color"],
-            label=f"{k:g}",
-        )
-    panels[0].set_xscale("log")
+        x, y = (rates[name][chosen] for name in ("stokes_number", "rotation_rate"))
+        fine = np.geomspace(np.min(x), np.max(x), 80)
+        exact = np.array([heavy.mean_rotation_rate(k, s) for s in fine])
+        free, scale = k / (1.0 + k * k), heavy.relaxation_rates(k)[2]
+        dashes = "solid" if k < 1.0 else (0, (4, 1.5))
+        face = "white" if k < 1.0 else color
+        panels[0].plot(fine, exact, color=color, linestyle=dashes)
+        panels[0].plot(x, y, marker, color=color, markerfacecolor=face, label=f"{k:g}")
+        panels[1].plot(fine / scale, (exact - free) / (0.5 - free), color=color, linestyle=dashes)
+        panels[1].plot(x / scale, (y - free) / (0.5 - free), marker, color=color,
+                       markerfacecolor=face)  # fmt: skip
     panels[0].set_ylim(0.0, 0.52)
     panels[0].set_xlabel(r"Stokes number $\mathrm{St}$")
     panels[0].set_ylabel(r"mean rotation rate$\,/\,$shear rate")
+    panels[1].axhline(0.5, color=style.GREY, linewidth=0.6, zorder=0)
+    panels[1].set_xlabel(r"$t=\mathrm{St}\,J_1/R_1$")
+    panels[1].set_ylabel("part of the way to 1/2")
+    for panel in panels[:2]:
+        panel.set_xscale("log")
     figure.legend(*panels[0].get_legend_handles_labels(), title="$k$", loc="outside right center")
     k = summary["aspect_ratio"]
-    panels[1].loglog(k, summary["transition"], "o", label="runs", color=style.BLUE)
+    panels[2].loglog(k, summary["transition"], "o", label="runs", color=style.BLUE)
     fine = np.concatenate([np.geomspace(0.1, 0.9, 9), [np.nan], np.geomspace(1.1, 10.0, 9)])
-    exact = [transition(float(v)) if np.isfinite(v) else np.nan for v in fine]
-    panels[1].loglog(fine, exact, color=style.GREY, label="periodic solution", zorder=0)
-    panels[1].set_xlabel("aspect ratio $k$")
-    panels[1].set_ylabel(r"$\mathrm{St}$ at the transition")
-    panels[1].legend()
+    exact = np.array([transition(float(v)) if np.isfinite(v) else np.nan for v in fine])
+    panels[2].loglog(fine, exact, color=style.GREY, label="periodic solution", zorder=0)
+    panels[2].set_xlabel("aspect ratio $k$")
+    panels[2].set_ylabel(r"$\mathrm{St}$ at the transition")
+    panels[2].legend(handlelength=1.2)
     style.letter_panels(list(panels))
     return {"rotation_rate": figure}
