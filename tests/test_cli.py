@@ -14,7 +14,8 @@ import pytest
 from conftest import ROOT, Run
 
 import qbxstokes
-from qbxstokes.app.cli import split_arguments
+from qbxstokes.app.cli import run_command, split_arguments
+from qbxstokes.app.parallel import missing_message
 from qbxstokes.app.plan import make_plan, rotation_period
 from qbxstokes.app.report import counted
 from qbxstokes.app.summary import _estimate, _seen, flow_text, shape_text
@@ -338,3 +339,54 @@ guarded(comm, action)
     assert done.returncode == 1
     assert "rank 1" in done.stderr
     assert error.split("(")[0] in done.stderr or "the disk is full" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        (
+            "flow: {type: shear}\ntime: {end: 1}\nbody: {aspect_ratio: 10 mm}",
+            "without a unit: lengths are in c, times in tau",
+        ),
+        (
+            "flow: {type: shear}\ntime: {end: 1}\nbody:\n  aspect_ratio: 0,5",
+            "write a point for the comma: 0.5",
+        ),
+        ("body:\n  aspect_ratio:0.5", "put a space after the colon"),
+        ("body:\n\taspect_ratio: 0.5", "indent with spaces, not with tabs"),
+        ("body: {aspect_ratio: 1}\nflow: shear", "write flow: {type: shear}"),
+        (
+            "body: {aspect_ratio: 1}\nflow: {type: shear}\nstart: {orientation: [1, 0, 0]}",
+            "write orientation: {axis: [...]}",
+        ),
+    ],
+)
+def test_usual_mistakes_are_told_with_what_is_right(text: str, right: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(text + "\n")
+    with pytest.raises(CaseError) as caught:
+        load_case(path)
+    assert right in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "right"),
+    [
+        (("chek", "case.yaml"), "chek: neither a command nor a case file; did you mean check?"),
+        (("run", "case.yaml"), "run: neither a command nor a case file; commands: check, new"),
+        (("a.yaml", "b.yaml"), "b.yaml: one case at a time"),
+        (("case.yaml", "--explian"), "--explian: unknown option; did you mean --explain?"),
+    ],
+)
+def test_words_of_the_command_line_that_are_wrong(
+    words: tuple[str, ...], right: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(words) == 2
+    assert right in capsys.readouterr().err
+
+
+def test_a_missing_package_is_one_line() -> None:
+    told = missing_message(ModuleNotFoundError("No module named 'mpi4py'", name="mpi4py"))
+    assert told.startswith("mpi4py is not installed; python -m qbxstokes doctor")
+    assert missing_message(ModuleNotFoundError("no", name="qbxstokes.petsc.x")) == ""
+    assert missing_message(ValueError("x")) == ""

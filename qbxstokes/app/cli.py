@@ -7,8 +7,10 @@ is wrong (case file, command line, file named in them); 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -88,6 +90,12 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are CaseErrors: one line, exit status 2."""
 
     def error(self, message: str) -> NoReturn:
+        wrong = re.fullmatch(r"unrecognized arguments: (--\S+).*", message)
+        if wrong:
+            close = difflib.get_close_matches(wrong[1], self._option_string_actions, 1)
+            message = f"{wrong[1]}: unknown option" + (
+                f"; did you mean {close[0]}?" if close else ""
+            )
         raise CaseError(f"command line: {message}; see python -m qbxstokes --help")
 
 
@@ -131,9 +139,14 @@ def run_command(arguments: Sequence[str]) -> int:
                 raise CaseError(f"command line: {petsc[0]}: unknown option of {options.words[0]}")
             return command(options, options.words[1:])
         if len(options.words) > 1:
+            first, commands = options.words[0], (*_COMMANDS, "plot", "animate")
+            if Path(first).suffix in (".yaml", ".yml"):
+                raise CaseError(f"command line: {options.words[1]}: one case at a time")
+            close = difflib.get_close_matches(first, commands, 1)
+            right = f"did you mean {close[0]}?" if close else f"commands: {', '.join(commands)}"
             raise CaseError(
-                f"command line: {options.words[1]}: one case at a time; "
-                f"or did you mean a command? ({', '.join((*_COMMANDS, 'plot', 'animate'))})"
+                f"command line: {first}: neither a command nor a case file; {right} "
+                "(a case is run by its name alone)"
             )
     except QbxStokesError as error:
         return _fail(error)

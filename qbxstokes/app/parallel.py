@@ -66,7 +66,7 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
         status = 130
     except Exception as error:
         status = 1
-        told = petsc_message(error)
+        told = petsc_message(error) or missing_message(error)
         text = f"qbxstokes: {told}\n" if told else traceback.format_exc()
         if comm.size > 1:
             text = "".join(f"rank {comm.rank}: {line}\n" for line in text.splitlines())
@@ -77,6 +77,16 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
         comm.Abort(status)
         os._exit(status)
     return status
+
+
+def missing_message(error: Exception) -> str:
+    """One line for a package that is not installed, '' for any other error."""
+    name = getattr(error, "name", None)
+    if not isinstance(error, ModuleNotFoundError) or str(name).startswith("qbxstokes"):
+        return ""
+    return (
+        f"{name} is not installed; python -m qbxstokes doctor says what is missing and what helps"
+    )
 
 
 def tell(error: QbxStokesError) -> None:

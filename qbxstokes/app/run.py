@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.app.clock import Clock
-from qbxstokes.app.parallel import guarded, on_root, world
+from qbxstokes.app.parallel import guarded, missing_message, on_root, world
 from qbxstokes.errors import ConvergenceError
 
 if TYPE_CHECKING:
@@ -23,8 +23,12 @@ if TYPE_CHECKING:
 def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:
     """Run one case file on all ranks; returns the exit status."""
     clock = Clock()
-    with clock.part("start MPI"):
-        comm = world()
+    try:
+        with clock.part("start MPI"):
+            comm = world()
+    except ModuleNotFoundError as error:
+        print(f"qbxstokes: {missing_message(error)}", file=sys.stderr)
+        return 1
 
     def read() -> LoadedCase:
         from qbxstokes.config.load import load_case

@@ -55,9 +55,12 @@ def to_number(value: Any) -> float:
     try:
         number = expression(value) if isinstance(value, str) else float(value)
     except (ValueError, OverflowError):
-        raise Problem(
-            f"{describe(value)} is not a number", "write one, such as 0.5, 1e-6 or pi/2"
-        ) from None
+        right = "write one, such as 0.5, 1e-6 or pi/2"
+        if isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]+,[0-9]+", value.strip()):
+            right = f"write a point for the comma: {value.strip().replace(',', '.')}"
+        elif isinstance(value, str) and re.fullmatch(r"[-+.0-9eE]+ *[A-Za-z/^0-9]+", value.strip()):
+            right += ", without a unit: lengths are in c, times in tau"
+        raise Problem(f"{describe(value)} is not a number", right) from None
     if not math.isfinite(number):
         raise Problem(f"{describe(value)} is not finite", "a finite number is expected")
     return number

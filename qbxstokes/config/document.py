@@ -201,6 +201,8 @@ def _events(text: str, name: str) -> Iterator[Any]:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
         problem = printable(str(error.problem or error.context or error), 160)
+        if any("\t" in there for there in text.splitlines()[line - 1 : line]):
+            problem += "; indent with spaces, not with tabs"
         raise CaseError(f"{name}:{line}: is not valid YAML: {problem}") from None
     except yaml.YAMLError as error:
         problem = printable(" ".join(str(error).split()), 160)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import types
 import typing
 from collections.abc import Iterator, Sequence
@@ -212,7 +213,15 @@ def _told(fault: Fault) -> tuple[Key, str, str]:
     if fault.kind == "section":
         model = section_at(key)
         keys = f": {', '.join(model.model_fields)}" if model else ""
-        return key, f"is {describe(value)}", f"keys are expected below it{keys}"
+        right = f"keys are expected below it{keys}"
+        if key == ("flow",) and isinstance(value, str):
+            right = f"write flow: {{type: {value}}}"
+        elif isinstance(value, str) and re.match(r"\w+:\S", value):
+            right += "; put a space after the colon"
+        elif key == ("start", "orientation") and isinstance(value, list) and len(value) in (3, 4):
+            form = "axis" if len(value) == 3 else "quaternion"
+            right = f"write orientation: {{{form}: [...]}}"
+        return key, f"is {describe(value)}", right
     if fault.kind == "list":
         return key, f"is {describe(value)}", right or "a list is expected"
     return key, fault.wrong or f"is {describe(value)}", right
