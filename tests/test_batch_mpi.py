@@ -53,13 +53,25 @@ def contents(path: Path) -> dict[str, bytes]:
     return found
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The undisturbed sweep on one rank, computed once."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "case.yaml").write_text(json.dumps(CASE))
+    target = folder / "whole.h5"
+    words = [str(folder / "case.yaml"), "--quiet", "--set", f"output.file={target}"]
+    assert run_command(words) == 0
+    return contents(target)
+
+
 @pytest.fixture
-def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
-    """The undisturbed sweep on one rank."""
+def whole(
+    undisturbed: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, bytes]:
+    """The undisturbed sweep, and its case in the folder of the test."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "case.yaml").write_text(json.dumps(CASE))
-    assert run_command(["case.yaml", "--quiet", "--set", "output.file=whole.h5"]) == 0
-    return contents(tmp_path / "whole.h5")
+    return undisturbed
 
 
 @pytest.mark.parametrize("ranks", [2, 3])
@@ -101,8 +113,7 @@ def test_an_exception_on_one_rank_ends_the_job_with_its_message(
     assert done.returncode != 0
     assert "rank 1: ZeroDivisionError: the reactor of rank one" in done.stderr
     monkeypatch.delenv("FAILING")
-    done = mpirun(2, "case.yaml", "--quiet", "--resume")
-    assert done.returncode == 0, done.stderr
+    assert run_command(["case.yaml", "--quiet", "--resume"]) == 0  # on another number of ranks
     assert contents(tmp_path / "case.h5") == whole
 
 
@@ -123,7 +134,8 @@ def children(group: int) -> Iterator[int]:
 def kill_and_resume(tmp_path: Path, kills: int, seed: int) -> None:
     """Kill a rank, or the whole job, at random instants; then let it end."""
     launcher = shutil.which("mpirun") or shutil.which("mpiexec")
-    assert launcher is not None
+    if launcher is None:
+        pytest.skip("no mpirun on this machine")
     from conftest import ENVIRONMENT
 
     rng = random.Random(seed)
@@ -162,21 +174,15 @@ def kill_and_resume(tmp_path: Path, kills: int, seed: int) -> None:
         kept = found
 
 
-def test_killed_sweeps_lose_only_blocks_in_flight(
-    whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_killed_sweeps_lose_only_blocks_in_flight(whole: dict[str, bytes], tmp_path: Path) -> None:
     kill_and_resume(tmp_path, 2, seed=1)
-    done = mpirun(2, "case.yaml", "--quiet", "--resume")
-    assert done.returncode == 0, done.stderr
+    assert run_command(["case.yaml", "--quiet", "--resume"]) == 0  # on another number of ranks
     assert contents(tmp_path / "case.h5") == whole
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_twenty_random_kills(
-    whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path, seed: int
-) -> None:
+def test_twenty_random_kills(whole: dict[str, bytes], tmp_path: Path, seed: int) -> None:
     kill_and_resume(tmp_path, 5, seed)
-    done = mpirun(2, "case.yaml", "--quiet", "--resume")
-    assert done.returncode == 0, done.stderr
+    assert run_command(["case.yaml", "--quiet", "--resume"]) == 0  # on another number of ranks
     assert contents(tmp_path / "case.h5") == whole

@@ -211,6 +211,16 @@ def test_tracers_do_not_cross_the_surface_of_a_tumbling_body(write_case, tmp_pat
     assert np.linalg.norm(arms[-1, 0] - arms[0, 0]) > 1.0
 
 
+def test_lines_alone_need_no_points(write_case, tmp_path, monkeypatch):
+    lines = {"surface": None, "check": 0, "vtk": False, "tracers": {"duration": 1, "number": 2}}
+    case = {"task": "field", "flow": {"type": "shear"}, "body": {"aspect_ratio": 0.5}}
+    monkeypatch.chdir(tmp_path)
+    path = write_case(case | {"field": lines})
+    assert run_command([path.name, "--quiet"]) == 0
+    result = load(tmp_path / "case.h5")
+    assert 0.0 < result.summary["errors"]["no slip"] < 1e-12
+
+
 @pytest.mark.parametrize("call", ["posix_fallocate", "pwrite"])
 def test_a_full_disk_ends_a_field_in_one_line(call, write_case, tmp_path, monkeypatch, capfd):
     path = write_case(CASE)

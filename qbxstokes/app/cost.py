@@ -71,7 +71,7 @@ class Constants:
 
 # On a 2 GHz Intel Xeon (Sapphire Rapids); the benchmark table `sweep_constants` measures them.
 XEON = Constants()
-BASE_MEMORY = 150e6
+BASE_MEMORY = 220e6
 # Start of MPI and PETSc, imports and loading of compiled kernels, which the model leaves out.
 START_SECONDS = 2.0
 

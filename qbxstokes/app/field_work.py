@@ -125,7 +125,8 @@ class FieldWork:
                     Task("points", index, number, begin, end)
                     for begin, end in store.blocks(target.size, min(BLOCK, share))
                 ]
-        return tasks
+        # Lines alone: the slip on the surface is wanted all the same.
+        return tasks or [Task("check", len(self.instants) - 1)]
 
     def _checks(self, index: int) -> list[Task]:
         def cut(kind: Kind, size: int) -> list[Task]:
@@ -200,9 +201,10 @@ class FieldWork:
                 lines = self.flow.streamlines(self.instants[task.instant])
                 found.whole["streamlines", task.instant] = lines
             elif task.kind == "check":
-                points = disturbance.check_points(min(self.section.check, FEW))
-                errors = disturbance.differences(points[task.begin : task.end])
-                found.difference = max(found.difference, float(errors.max()))
+                if task.begin < task.end:
+                    points = disturbance.check_points(min(self.section.check, FEW))
+                    errors = disturbance.differences(points[task.begin : task.end])
+                    found.difference = max(found.difference, float(errors.max()))
             else:
                 assert self.plane is not None
                 points = self._points(self.plane, 0, self.plane.size, task.instant)
