@@ -305,7 +305,6 @@ def _summary(each: Table, names: tuple[str, ...]) -> Table:
 def figures(made: dict[str, Table]) -> dict[str, Any]:
     """Orientations and nodes; the maps; the valley between truncation and quadrature."""
     from qbxstokes.plots import style
-    from qbxstokes.plots.table import figure_of
 
     each, nodes, parameters = (made[n] for n in ("orientations", "density_nodes", "qbx_map"))
     first = style.new_figure(style.PAGE, 3.1)
@@ -371,5 +370,42 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     return {
         "orientations": first,
         "valley": valley,
-        "map": figure_of(parameters),
+        "map": _map_figure(parameters),
     }
+
+
+def _map_figure(parameters: Table) -> Any:
+    """Error over radius and order, a panel per upsampling, with a line per decade."""
+    from matplotlib.colors import LogNorm
+
+    from qbxstokes.plots import style
+
+    figure = style.new_figure(style.PAGE, 2.5)
+    upsamplings = sorted(set(parameters["upsampling"].tolist()))
+    panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
+    radii = np.unique(parameters["r_over_h"])
+    orders = np.unique(parameters["expansion_order"])
+    norm = LogNorm(1e-5, 10.0)
+    mesh: Any = None
+    for panel, upsampling in zip(panels, upsamplings, strict=True):
+        errors = np.full((len(orders), len(radii)), np.nan)
+        chosen = (parameters["upsampling"] == upsampling) & ~parameters["forbidden"].astype(bool)
+        row = np.searchsorted(orders, parameters["expansion_order"][chosen])
+        column = np.searchsorted(radii, parameters["r_over_h"][chosen])
+        errors[row, column] = parameters["error"][chosen]
+        mesh = panel.pcolormesh(radii, orders, errors, norm=norm, shading="nearest")
+        if len(orders) > 2:
+            levels = 10.0 ** np.arange(-4.0, 1.0)
+            panel.contour(radii, orders, errors, levels, colors="white", linewidths=0.7)
+        best = np.unravel_index(np.nanargmin(errors), errors.shape)
+        panel.plot(radii[best[1]], orders[best[0]], "*", color="white", markersize=9,
+                   markeredgecolor=style.BLACK)  # fmt: skip
+        allowed = radii[np.isfinite(errors).any(axis=0)][-1]
+        panel.axvspan(0.5 * (allowed + radii[-1]), panel.get_xlim()[1], facecolor="#f2f2f2",
+                      edgecolor=style.GREY, hatch="////", linewidth=0.0)  # fmt: skip
+        panel.set_xlabel("$r/h$")
+        panel.set_title(rf"$\kappa = {upsampling}$", loc="left")
+    panels[0].set_ylabel("expansion order $p$")
+    figure.colorbar(mesh, ax=list(panels), label="relative error", pad=0.01)
+    style.letter_panels(list(panels))
+    return figure
