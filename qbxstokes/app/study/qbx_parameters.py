@@ -376,8 +376,6 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
 
 def _map_figure(parameters: Table) -> Any:
     """Error over radius and order, a panel per upsampling, with a line per decade."""
-    from matplotlib.colors import LogNorm
-
     from qbxstokes.plots import style
 
     figure = style.new_figure(style.PAGE, 2.5)
@@ -385,7 +383,6 @@ def _map_figure(parameters: Table) -> Any:
     panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
     radii = np.unique(parameters["r_over_h"])
     orders = np.unique(parameters["expansion_order"])
-    norm = LogNorm(1e-5, 10.0)
     mesh: Any = None
     for panel, upsampling in zip(panels, upsamplings, strict=True):
         errors = np.full((len(orders), len(radii)), np.nan)
@@ -393,7 +390,9 @@ def _map_figure(parameters: Table) -> Any:
         row = np.searchsorted(orders, parameters["expansion_order"][chosen])
         column = np.searchsorted(radii, parameters["r_over_h"][chosen])
         errors[row, column] = parameters["error"][chosen]
-        mesh = panel.pcolormesh(radii, orders, errors, norm=norm, shading="nearest")
+        mesh = panel.pcolormesh(
+            radii, orders, errors, norm="log", vmin=1e-5, vmax=10.0, shading="nearest"
+        )
         if len(orders) > 2:
             levels = 10.0 ** np.arange(-4.0, 1.0)
             panel.contour(radii, orders, errors, levels, colors="white", linewidths=0.7)
