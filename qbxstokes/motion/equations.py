@@ -193,9 +193,14 @@ class RigidBodyEquations:
         self._polynomial = flow if isinstance(flow, PolynomialFlow) else None
         self._loads = loads
         self._load_rows: Array = np.zeros((12, n_bodies))
-        self._steady_loads = loads is None or not any(callable(v) for v in _load_fields(loads))
+        self._timed_loads: list[tuple[int, Callable[[float], ArrayLike]]] = []
         if loads is not None:
-            self._fill_loads(0.0)
+            for place, vectors in enumerate(_load_fields(loads)):
+                if callable(vectors):
+                    self._timed_loads.append((place, vectors))
+                else:
+                    self._fill_load(place, vectors)
+        self._steady_loads = not self._timed_loads
         self._kernel = self._whole_kernel()
 
     def repeated(self, count: int) -> RigidBodyEquations:
@@ -455,14 +460,14 @@ class RigidBodyEquations:
         value = vectors(t) if callable(vectors) else vectors
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.n_bodies, 3))
 
-    def _fill_loads(self, t: float) -> None:
-        assert self._loads is not None
-        for index, field in enumerate(_load_fields(self._loads)):
-            self._load_rows[3 * index : 3 * index + 3] = self._vectors(field, t).T
+    def _fill_load(self, place: int, vectors: ArrayLike) -> None:
+        values = np.asarray(vectors, dtype=np.float64)
+        rows = values.T if values.ndim == 2 else values[:, None]
+        self._load_rows[3 * place : 3 * place + 3] = rows
 
     def _loads_at(self, t: float) -> Array:
-        if not self._steady_loads:
-            self._fill_loads(t)
+        for place, vectors in self._timed_loads:
+            self._fill_load(place, vectors(t))
         return self._load_rows
 
     def _whole_kernel(self) -> Callable[[float, Any], Any] | None:
