@@ -19,6 +19,8 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
     """
     import petsc4py
 
+    if "petsc4py.PETSc" not in sys.modules:
+        gc.freeze()  # nothing so far holds an object of PETSc: `_release` need not look through it
     petsc4py.init([sys.argv[0], *arguments])
     from petsc4py import PETSc
 
