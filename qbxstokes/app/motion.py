@@ -86,6 +86,9 @@ def run_motion(
         )
         if trajectory.refusal:
             events.ended = ("met_singularity", trajectory.refusal)
+    if trajectory.failure and not trajectory.steps:  # there is nothing to keep
+        recording.journal.close(remove=True)
+        raise ConvergenceError(trajectory.failure)
     if not trajectory.finished:
         recording.save()
         if not recording.saved:
