@@ -74,6 +74,18 @@ def whole(
     return undisturbed
 
 
+def test_a_dry_run_does_not_wait_for_the_other_ranks(
+    mpirun: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What rank 0 alone loads must not start PETSc, which all ranks start together."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "case.yaml").write_text(json.dumps(CASE))
+    told = mpirun(2, "case.yaml", "--dry-run", "--explain")
+    assert told.returncode == 0
+    assert "16 trajectories" in told.stdout
+    assert os.listdir(tmp_path) == ["case.yaml"]
+
+
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_any_number_of_ranks_gives_the_same_bits(
     whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path, ranks: int

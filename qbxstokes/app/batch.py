@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.app import handout
 from qbxstokes.app.clock import Clock
+from qbxstokes.app.columns import SUMMARY
 from qbxstokes.app.compilation import compilation_told
 from qbxstokes.app.handout import HandOut
 from qbxstokes.app.interrupt import Interruption
@@ -177,8 +178,6 @@ def run_sweep(
 
 def layout_of(scenes: Scenes) -> store.Layout:
     """What the result file holds."""
-    from qbxstokes.app.block import SUMMARY
-
     case = scenes.loaded.case
     assert case.sweep is not None
     coordinates = _coordinate_types(scenes)
