@@ -28,7 +28,7 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 # The error at the end may exceed the tolerance by as much.
 MARGIN = 10.0
 # A method that took more steps than these is not tried at tighter tolerances.
-MOST_STEPS = 10_000
+MOST_STEPS = 5_000
 _AXIS = np.array([0.48, 0.6, 0.64])
 
 
