@@ -29,7 +29,7 @@ sweep:
 
 def tables(work: Work) -> Iterator[Table]:
     """Wall time of the whole command on one and two ranks, and the part that is shared."""
-    count = work.choose(64, 30_000)
+    count = work.choose(64, 15_000)
     table = Table(
         "ranks",
         f"A sweep of {count} trajectories on one and two ranks",
