@@ -46,14 +46,14 @@ class Orbit:
         return RigidBodyEquations(exact_model(self.aspect_ratio), Shear(), self.stokes_number)
 
     def axis_after(self, end: float, start: Array) -> Array:
-        """The axis at the end: Jeffery's, or his torque integrated by DOP853 at 3e-14."""
+        """The axis at the end: Jeffery's, or his torque integrated by DOP853 at 1e-13."""
         k = self.aspect_ratio
         if self.stokes_number == 0.0:
             return jeffery.axis_at(end, k, _AXIS)
         gradient = Shear().gradient(np.zeros(3))
         times = [0.0, end]
         found = inertial.linear_flow(
-            k, self.stokes_number, gradient, start[3:7], times, start[10:13], 3e-14, 3e-14
+            k, self.stokes_number, gradient, start[3:7], times, start[10:13]
         )
         return rotation.axis(found.orientation[-1])
 
