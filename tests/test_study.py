@@ -300,7 +300,7 @@ def test_study_runs_resumes_and_draws(
 def test_small_studies_run_draw_and_pass(
     name: str, run_cli: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
 ) -> None:
-    done = run_cli(write_case(CASE.replace("acceleration", name)), "--quiet")
+    done = run_cli(write_case(CASE.replace("acceleration", name)), "--quiet", timeout=600)
     assert done.returncode == 0, done.stderr
     tables = [Table.read_csv(path) for path in tmp_path.glob("out_*.csv")]
     assert tables
