@@ -199,3 +199,10 @@ def test_twenty_random_kills(whole: dict[str, bytes], tmp_path: Path, seed: int)
     kill_and_resume(tmp_path, 5, seed)
     assert run_command(["case.yaml", "--quiet", "--resume"]) == 0  # on another number of ranks
     assert contents(tmp_path / "case.h5") == whole
+
+
+def test_the_plan_of_a_sweep_is_told_on_two_ranks(mpirun: Callable[..., Any]) -> None:
+    """Whatever the plan loads that all ranks have to start together, they do start together."""
+    done = mpirun(2, Path(__file__).parents[1] / "cases" / "sweep_orbits.yaml", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "on 2 ranks" in done.stdout
