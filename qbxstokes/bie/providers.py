@@ -50,7 +50,7 @@ class GridMotion:
         points = x[:, None, :] + self._points @ rotation.swapaxes(1, 2)
         with np.errstate(invalid="ignore"):  # a flow without a value gives a motion without one
             velocity = self._flow.velocity(points, t) @ rotation
-        return velocity, np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
+            return velocity, np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
 
 
 class SingularFlow(BackgroundFlow, Protocol):
