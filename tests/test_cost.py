@@ -75,7 +75,8 @@ def test_the_fit_finds_the_constants_that_made_the_times(tmp_path: Path) -> None
     base = Trial("massless, shear", 2048)
     trials = [
         base,
-        replace(base, name="small blocks", block=8, count=32),
+        replace(base, name="small blocks", block=8, count=256),
+        replace(base, name="small short blocks", block=8, count=256, periods=0.01),
         replace(base, name="many samples", samples=401, count=256),
         replace(base, name="all samples stored", samples=401, count=256, store="samples"),
         replace(base, name="many short ones", periods=0.01, count=16384),
@@ -94,14 +95,14 @@ def test_the_fit_finds_the_constants_that_made_the_times(tmp_path: Path) -> None
             "blocks": evaluations * rhs
             + calls * scenes.blocks * known.call
             + trial.count * trial.samples * known.sample
-            # What a block takes whatever it holds is not fitted, and once part of the start.
-            + (scenes.blocks - 1) * (XEON.block + trial.samples * XEON.block_sample),
+            # The first block is part of the start; samples of a block are not fitted.
+            + (scenes.blocks - 1) * (known.block + trial.samples * XEON.block_sample),
             "output": trial.count * (known.layout + size * known.stored_byte),
             "waiting": 0.0,
         }
         done[trial.name] = Timed(trial, parts, evaluations, scenes, size)
     found, names = fitted(done, known.handout, known.model)
-    assert {"call", "rhs_massless_cubic", "rhs_inertial_linear", "layout"} < names
+    assert {"call", "block", "rhs_massless_cubic", "rhs_inertial_linear", "layout"} < names
     assert "rhs_general" not in names
     for name in names - {"steps_massless", "steps_inertial"}:
         assert getattr(found, name) == pytest.approx(getattr(known, name), rel=1e-6), name

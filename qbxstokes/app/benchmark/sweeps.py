@@ -101,10 +101,14 @@ class Timed:
         return self.evaluations * self.scenes.blocks / self.trial.count
 
     @property
+    def more_blocks(self) -> int:
+        """Blocks beyond that of the sweep of two trajectories."""
+        return self.scenes.blocks - 1
+
+    @property
     def integration(self) -> float:
-        """Seconds of the blocks without what each takes whatever it holds, as far as known."""
-        fixed = XEON.block + self.trial.samples * XEON.block_sample
-        return self.parts["blocks"] - (self.scenes.blocks - 1) * fixed
+        """Seconds of the blocks without what their samples take whatever they hold, as known."""
+        return self.parts["blocks"] - self.more_blocks * self.trial.samples * XEON.block_sample
 
     def estimate(self, constants: Constants) -> Estimate:
         """What the model says of it; its body comes from the cache."""
@@ -125,7 +129,8 @@ def tables(work: Work) -> Iterator[Table]:
         base = Trial("massless, shear", 1024 * size)
         trials = [
             base,
-            replace(base, name="small blocks", block=8, count=16 * size),
+            replace(base, name="small blocks", block=8, count=128 * size),
+            replace(base, name="small short blocks", block=8, count=128 * size, periods=0.01),
             replace(base, name="many samples", samples=401, count=128 * size),
             replace(
                 base, name="all samples stored", samples=401, count=128 * size, store="samples"
@@ -181,15 +186,15 @@ def _told(trial: Trial, path: Path, words: list[str], *more: str) -> dict[str, A
 def fitted(done: dict[str, Timed], handout: float, model: float) -> tuple[Constants, set[str]]:
     """Constants from the trials by name, and the names of those that they tell.
 
-    Blocks: seconds = evaluations (rhs + call/bodies) + samples sample, three trials for the three;
-    output: seconds = trajectories layout + bytes stored_byte, two trials for the two.
+    Blocks: seconds = evaluations (rhs + call/bodies) + samples sample + blocks block, four trials
+    for the four; output: seconds = trajectories layout + bytes stored_byte, two trials for the two.
     """
-    base, small, sampled = (
-        done[name] for name in ("massless, shear", "small blocks", "many samples")
-    )
-    three = (base, small, sampled)
-    system = [[t.evaluations, t.calls, t.trial.count * t.trial.samples] for t in three]
-    rhs, call, sample = np.linalg.solve(system, [t.integration for t in three])
+    names = ("massless, shear", "small blocks", "small short blocks", "many samples")
+    four = [done[name] for name in names]
+    system = [
+        [t.evaluations, t.calls, t.trial.count * t.trial.samples, t.more_blocks] for t in four
+    ]
+    rhs, call, sample, block = np.linalg.solve(system, [t.integration for t in four])
     two = (done["many short ones"], done["all samples stored"])
     system = [[t.trial.count, t.trial.count * t.row_bytes] for t in two]
     layout, byte = np.linalg.solve(system, [t.parts["output"] for t in two])
@@ -197,6 +202,7 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> tuple[Consta
         "rhs_massless_linear": rhs,
         "call": call,
         "sample": sample,
+        "block": block,
         "layout": layout,
         "stored_byte": byte,
         "handout": handout,
@@ -207,6 +213,7 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> tuple[Consta
             timed = done.get(f"{kind}, {flow} flow")
             if timed is not None:
                 rest = timed.calls * call + timed.trial.count * timed.trial.samples * sample
+                rest += timed.more_blocks * block
                 values[f"rhs_{kind}_{flow}"] = (timed.integration - rest) / timed.evaluations
     for kind, name in (("massless", "massless, shear"), ("inertial", "inertial, linear flow")):
         timed = done[name]
