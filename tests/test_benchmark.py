@@ -94,7 +94,7 @@ def test_one_rank_and_two(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(key, value)
     table = small("ranks")["ranks"]
     if "Not measured" not in " ".join(table.notes):
-        assert table["run"].tolist() == ["one rank", "one rank, two runs at once", "two ranks"]
+        assert table["ranks"].tolist() == [1, 2]
 
 
 def test_a_case_stores_prints_and_draws(
