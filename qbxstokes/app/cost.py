@@ -38,23 +38,23 @@ class Constants:
     another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
     """
 
-    rhs_massless_linear: float = 1.1e-7
-    rhs_massless_quadratic: float = 1.3e-7
-    rhs_massless_cubic: float = 2.5e-7
-    rhs_inertial_linear: float = 1.7e-7
-    rhs_inertial_quadratic: float = 1.9e-7
-    rhs_inertial_cubic: float = 3.5e-7
+    rhs_massless_linear: float = 6e-8
+    rhs_massless_quadratic: float = 1.0e-7
+    rhs_massless_cubic: float = 1.3e-7
+    rhs_inertial_linear: float = 1.3e-7
+    rhs_inertial_quadratic: float = 1.5e-7
+    rhs_inertial_cubic: float = 1.6e-7
     rhs_general: float = 5e-5
-    call: float = 2.8e-6
-    steps_massless: float = 1.8
-    steps_inertial: float = 1.4
-    sample: float = 2e-6
+    call: float = 3e-6
+    steps_massless: float = 2.0
+    steps_inertial: float = 1.6
+    sample: float = 1e-6
     block_sample: float = 5e-5
-    block: float = 0.03
-    stored_byte: float = 1.0e-9
-    handout: float = 5e-6
-    layout: float = 5e-7
-    model: float = 0.25
+    block: float = 5e-3
+    stored_byte: float = 1.5e-9
+    handout: float = 3e-6
+    layout: float = 1.2e-6
+    model: float = 0.2
 
     def rhs(self, inertial: bool, degree: int | None) -> float:
         """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
