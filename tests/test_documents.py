@@ -88,3 +88,8 @@ def test_links_lead_somewhere():
     for path in (ROOT / "README.md", ROOT / "cases" / "README.md", ROOT / "cases" / "tutorial.md"):
         for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", path.read_text()):
             assert (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_every_case_is_listed() -> None:
+    listed = re.findall(r"\[`(\w+\.yaml)`\]\(\1\)", (ROOT / "cases" / "README.md").read_text())
+    assert sorted(listed) == sorted(path.name for path in (ROOT / "cases").glob("*.yaml"))
