@@ -126,7 +126,8 @@ def test_run_agrees_with_the_command_line(tmp_path, run_cli):
     assert run_cli("case.yaml").returncode == 0
     by_command = qs.load(tmp_path / "case.h5")
     for given in (path, CASE):
-        assert np.array_equal(qs.run(given).orientation, by_command.orientation)
+        # To rounding: another number of threads adds up in another order.
+        assert np.allclose(qs.run(given).orientation, by_command.orientation, rtol=0, atol=1e-13)
 
 
 def test_errors_name_the_key_and_limits_raise():

@@ -21,7 +21,7 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
 
     if "petsc4py.PETSc" not in sys.modules:
         gc.freeze()  # nothing so far holds an object of PETSc: `_release` need not look through it
-    petsc4py.init([sys.argv[0], *arguments])
+    petsc4py.init(["qbxstokes", *arguments])
     from petsc4py import PETSc
 
     atexit.unregister(_release)
