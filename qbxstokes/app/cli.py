@@ -40,7 +40,7 @@ options of a run
   --dry-run           print what would run, and stop
   --overwrite         replace an existing result file
   --no-cache          neither read nor keep operators on disk
-  --resume            go on with a sweep that was stopped, or mend its failures
+  --resume            go on with a run that was stopped, mend a sweep's failures
   --progress STYLE    how a sweep tells its progress: auto, bar, line, none
   --quiet             print nothing but errors
   --json              print the summary as JSON
