@@ -125,7 +125,9 @@ def test_a_file_with_few_quantities_is_drawn_as_far_as_it_goes(
 @pytest.mark.parametrize("samples", [1, 2])
 def test_few_samples_are_drawn(tmp_path: Path, samples: int) -> None:
     few = load(write(tmp_path / "a.h5", orbit(np.arange(samples, dtype=float))))
-    for kind in sorted({"orbit", "path", "overview"} & set(motion.drawings(few))):
+    kinds = {"orbit", "path", "overview"} & set(motion.drawings(few))
+    assert "overview" in kinds
+    for kind in sorted(kinds):
         picture = figure(few, kind)
         picture.set_layout_engine("none")  # which takes most of the time
         picture.canvas.draw()

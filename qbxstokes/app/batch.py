@@ -70,9 +70,6 @@ def sweep_command(
 
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if options.dry_run or options.explain:
-        # Loading PETSc is for all ranks together, and the layout of a sweep loads it.
-        import qbxstokes.petsc.stepper  # noqa: F401
-
         facts = on_root(comm, lambda: _dry_run(loaded, comm.size))
         if comm.rank == 0 and options.json:
             print(json.dumps(plain(facts), indent=2))

@@ -14,10 +14,8 @@ from qbxstokes.app.parallel import guarded, missing_message, on_root, world
 from qbxstokes.errors import ConvergenceError
 
 if TYPE_CHECKING:
-    from qbxstokes.config.time import Time
-
-if TYPE_CHECKING:
     from qbxstokes.config.load import LoadedCase
+    from qbxstokes.config.time import Time
 
 
 def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:
