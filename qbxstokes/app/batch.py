@@ -77,14 +77,10 @@ def sweep_command(
             print(facts["text"])
         if options.dry_run:
             return 0
-    with clock.part("start PETSc"):
-        from qbxstokes.petsc import session
+    from qbxstokes.app.provenance import start_petsc
+    from qbxstokes.petsc import session
 
-        PETSc = session.start(petsc, loaded.case.petsc)
-
-    from qbxstokes.app.provenance import provenance
-
-    record = provenance(loaded, PETSc, comm.size, petsc) if comm.rank == 0 else {}
+    PETSc, record = start_petsc(comm, loaded, petsc, clock)
     summary = run_sweep(comm, loaded, options, record, clock)
     if comm.rank == 0:
         summary["wall_times"] = {**clock.parts, "total": clock.total}

@@ -45,12 +45,10 @@ def run_field_case(
             facts = {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
             print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
         return 0
-    with clock.part("start PETSc"):
-        from qbxstokes.app.provenance import provenance
-        from qbxstokes.petsc import session
+    from qbxstokes.app.provenance import start_petsc
+    from qbxstokes.petsc import session
 
-        PETSc = session.start(petsc, loaded.case.petsc)
-    record = provenance(loaded, PETSc, comm.size, petsc)
+    PETSc, record = start_petsc(comm, loaded, petsc, clock)
     with compilation_told(comm, not options.quiet):
         summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
     unused = session.unused_options(PETSc)

@@ -13,20 +13,35 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes import __version__
+from qbxstokes.app.clock import Clock
 from qbxstokes.config.load import LoadedCase
 
 
-def provenance(
+def start_petsc(
+    comm: Any, loaded: LoadedCase, petsc: Sequence[str], clock: Clock
+) -> tuple[Any, dict[str, Any]]:
+    """PETSc, started by all ranks, and on rank 0 what the group `provenance` of a result holds.
+
+    Git is asked meanwhile, by rank 0 alone. petsc: the command line that is left for PETSc.
+    """
+    with clock.part("start PETSc"):
+        from qbxstokes.petsc import session
+
+        revision = asked_revision() if comm.rank == 0 else None
+        PETSc = session.start(petsc, loaded.case.petsc)
+    if revision is None:
+        return PETSc, {}
+    with clock.part("import"):
+        return PETSc, _provenance(loaded, PETSc, comm.size, petsc, revision)
+
+
+def _provenance(
     loaded: LoadedCase,
     PETSc: Any,
     ranks: int,
     petsc: Sequence[str],
-    revision: Callable[[], str] | None = None,
+    revision: Callable[[], str],
 ) -> dict[str, Any]:
-    """What the group `provenance` of a result holds.
-
-    revision: what `asked_revision` gave earlier, where its time is not to be waited for.
-    """
     return {
         "title": loaded.case.title,
         "case_file": str(loaded.path),
@@ -34,7 +49,7 @@ def provenance(
         "overrides": json.dumps(list(loaded.document.overrides.values())),
         "resolved_case": json.dumps(loaded.resolved()),
         "version": __version__,
-        "git_revision": (revision or asked_revision())(),
+        "git_revision": revision(),
         "python": platform.python_version(),
         **{name: import_module(name).__version__ for name in ("numpy", "h5py", "mpi4py")},
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),

@@ -80,24 +80,21 @@ def compute_case(
         if comm.rank == 0 and options.json:
             print(json.dumps({"case": str(path), "plan": plan_facts(plan)}, indent=2))
         return 0
-    with clock.part("start PETSc"):
-        from qbxstokes.app.provenance import asked_revision, provenance
-        from qbxstokes.petsc import session
+    with clock.part("import"):
+        from qbxstokes.app.provenance import start_petsc
 
-        revision = asked_revision() if comm.rank == 0 else None
-        PETSc = session.start(petsc, loaded.case.petsc)
-
+    PETSc, record = start_petsc(comm, loaded, petsc, clock)
     with clock.part("import"):
         from qbxstokes.app.body import open_cache
         from qbxstokes.app.interrupt import Interruption
         from qbxstokes.app.motion import run_motion
         from qbxstokes.app.recording import Recording
         from qbxstokes.app.rows import RowTeam, with_team
+        from qbxstokes.petsc import session
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
     # ranks gives the numbers of one. Only the rows of the operators are formed by all.
     def compute(team: RowTeam) -> dict[str, Any]:
-        record = provenance(loaded, PETSc, comm.size, petsc, revision)
         # Options of the solver want to be seen at work.
         cache = open_cache(loaded, options.no_cache or bool(session.solver_options(PETSc)))
         recording = Recording(

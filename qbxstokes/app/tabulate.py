@@ -104,14 +104,11 @@ def run_tables(
             facts = {"tables": list(plan.makers), "output": str(plan.output)}
             print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
         return 0
-    with clock.part("start PETSc"):
-        from qbxstokes.app.provenance import provenance
-        from qbxstokes.petsc import session
+    from qbxstokes.app.provenance import start_petsc
 
-        PETSc = session.start(petsc, loaded.case.petsc)
+    _, record = start_petsc(comm, loaded, petsc, clock)
 
     def compute() -> list[str]:
-        record = provenance(loaded, PETSc, comm.size, petsc)
         return _compute(comm.size, loaded, plan, options, record, clock)
 
     failures = on_root(comm, compute)

@@ -68,16 +68,13 @@ def run_studies(
             }
             print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
         return 0
-    with clock.part("start PETSc"):
-        from qbxstokes.app.provenance import provenance
-        from qbxstokes.petsc import session
+    from qbxstokes.app.provenance import start_petsc
 
-        PETSc = session.start(petsc, loaded.case.petsc)
+    _, record = start_petsc(comm, loaded, petsc, clock)
     folder = on_root(comm, lambda: _folder(loaded, plan, blocks, options))
     errors = _compute(comm, plan, blocks, folder, options, clock)
 
     def finish() -> list[str]:
-        record = provenance(loaded, PETSc, comm.size, petsc)
         return _finish(loaded, plan, blocks, folder, errors, options, record, clock)
 
     failures = on_root(comm, finish)
