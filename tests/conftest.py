@@ -11,7 +11,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.flows.polynomial import PolynomialFlow
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,6 +30,15 @@ ENVIRONMENT = {
 }
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def random_flow(degree: int, rng: np.random.Generator) -> PolynomialFlow:
+    """A Stokes flow with all terms up to a degree."""
+    tensors: list[Any] = [None, None, None]
+    for d in range(1, degree + 1):
+        basis = stokes_polynomials(d)
+        tensors[d - 1] = np.tensordot(rng.standard_normal(len(basis)), basis, axes=1)
+    return PolynomialFlow(rng.standard_normal(3), *tensors)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from conftest import random_flow
 
-from qbxstokes.bie.functional import (
-    BodyModel,
-    FaxenCoefficients,
-    Resistance,
-    stokes_polynomials,
-)
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -28,20 +22,6 @@ LOADS = Loads(
     body_force=(1.0, 0.0, -0.5),
     body_torque=(0.1, 0.2, 0.3),
 )
-
-
-def exact_model(k: float) -> BodyModel:
-    linear, quadratic, cubic = faxen.body_coefficients(k)
-    resistance = Resistance(*lamb.translation_resistance(k), *jeffery.rotation_resistance(k))
-    return BodyModel(k, resistance, FaxenCoefficients(linear, quadratic, cubic), None, 0.0)
-
-
-def random_flow(degree: int) -> PolynomialFlow:
-    tensors: list[Any] = [None, None, None]
-    for d in range(1, degree + 1):
-        basis = stokes_polynomials(d)
-        tensors[d - 1] = np.tensordot(RNG.standard_normal(len(basis)), basis, axes=1)
-    return PolynomialFlow(RNG.standard_normal(3), *tensors)
 
 
 def random_state(equations: RigidBodyEquations) -> Array:
@@ -92,7 +72,7 @@ class ForceProvider(FaxenProvider):
 @pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("k", [0.3, 1.0, 4.0])
 def test_free_motion_is_the_faxen_law(degree: int, k: float) -> None:
-    flow = random_flow(degree).shifted((1.0, -2.0, 0.5))
+    flow = random_flow(degree, RNG).shifted((1.0, -2.0, 0.5))
     equations = RigidBodyEquations(exact_model(k), flow, 0.0, 6)
     y = random_state(equations)
     v, omega = equations.velocities(0.0, y)
@@ -114,7 +94,7 @@ def test_free_rotation_is_jefferys() -> None:
 @pytest.mark.parametrize("loads", [None, LOADS])
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: float) -> None:
-    model, flow = exact_model(0.4), random_flow(degree)
+    model, flow = exact_model(0.4), random_flow(degree, RNG)
     block = RigidBodyEquations(model, flow, stokes_number, 3, loads)
     single = RigidBodyEquations(model, flow, stokes_number, 1, loads)
     y = random_state(block)
@@ -127,7 +107,7 @@ def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: fl
 @pytest.mark.parametrize(("stokes_number", "degree"), [(0.0, 1), (2.0, 2)])
 def test_compiled_is_plain(stokes_number: float, degree: int) -> None:
     n = 70  # more than a tile
-    model, flow = exact_model(0.4), random_flow(degree).shifted((1.0, -2.0, 0.5))
+    model, flow = exact_model(0.4), random_flow(degree, RNG).shifted((1.0, -2.0, 0.5))
     equations = RigidBodyEquations(model, flow, stokes_number, n, evaluation="compiled")
     y = random_state(equations)
     columns = np.ascontiguousarray(y.T)
@@ -141,7 +121,9 @@ def test_compiled_is_plain(stokes_number: float, degree: int) -> None:
 @pytest.mark.parametrize("loads", [None, LOADS])
 @pytest.mark.parametrize("degree", [1, 3])
 def test_jacobian(degree: int, loads: Loads | None, stokes_number: float) -> None:
-    equations = RigidBodyEquations(exact_model(2.5), random_flow(degree), stokes_number, 2, loads)
+    equations = RigidBodyEquations(
+        exact_model(2.5), random_flow(degree, RNG), stokes_number, 2, loads
+    )
     y = random_state(equations)
     exact, step = jacobian(equations, y), 1e-3
     for j in range(equations.n_state):
@@ -178,7 +160,7 @@ def test_jacobian_blocks_that_are_known() -> None:
 @pytest.mark.parametrize("provider", [FaxenProvider, ForceProvider])
 @pytest.mark.parametrize("stokes_number", [0.0, 0.7])
 def test_provider_is_the_table(provider: type[FaxenProvider], stokes_number: float) -> None:
-    k, flow = 0.4, random_flow(2)
+    k, flow = 0.4, random_flow(2, RNG)
     table = RigidBodyEquations(exact_model(k), flow, stokes_number, 3, LOADS)
     other = RigidBodyEquations(exact_model(k), provider(k, flow), stokes_number, 3, LOADS)
     y = random_state(table)
@@ -244,7 +226,7 @@ def test_held_in_a_paraboloid(stokes_number: float) -> None:
 
 @pytest.mark.parametrize("stokes_number", [0.0, 2.0])
 def test_one_motion_prescribed_leaves_the_other_free(stokes_number: float) -> None:
-    model, flow = exact_model(0.4), random_flow(2)
+    model, flow = exact_model(0.4), random_flow(2, RNG)
     free = RigidBodyEquations(model, flow, stokes_number)
     y = random_state(free)
     towed = RigidBodyEquations(
@@ -264,7 +246,7 @@ def test_one_motion_prescribed_leaves_the_other_free(stokes_number: float) -> No
 
 
 def test_length_of_the_quaternion_does_not_matter() -> None:
-    equations = RigidBodyEquations(exact_model(0.4), random_flow(3), 1.0, 4, LOADS)
+    equations = RigidBodyEquations(exact_model(0.4), random_flow(3, RNG), 1.0, 4, LOADS)
     y = random_state(equations)
     longer = y.copy()
     longer[:, 3:7] *= 1.7

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.flows.polynomial import PolynomialFlow
@@ -23,18 +24,12 @@ from qbxstokes.motion.forecast import Forecast
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.native import native_rate
 from qbxstokes.petsc.stepper import Checkpoint, Chunk, Step, integrate
-from qbxstokes.reference import faxen, inertial, jeffery, lamb
+from qbxstokes.reference import faxen, inertial, jeffery
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 AXIS = np.array([0.3, 0.4, 0.5]) / math.sqrt(0.5)
 MATRIX = [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-
-
-def exact_model(k: float) -> BodyModel:
-    linear, quadratic, cubic = faxen.body_coefficients(k)
-    resistance = Resistance(*lamb.translation_resistance(k), *jeffery.rotation_resistance(k))
-    return BodyModel(k, resistance, FaxenCoefficients(linear, quadratic, cubic), None, 0.0)
 
 
 def paraboloid(curvature: float) -> PolynomialFlow:

@@ -12,20 +12,14 @@ import numpy as np
 import pytest
 
 from qbxstokes.app.study import MAKERS, simulate
-from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Table
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
-from qbxstokes.reference import faxen, heavy
+from qbxstokes.reference import heavy
 
 Array = Any
-
-
-def exact_model(k: float) -> BodyModel:
-    linear, quadratic, cubic = faxen.body_coefficients(k)
-    coefficients = FaxenCoefficients(linear, quadratic, cubic)
-    return BodyModel(k, Resistance(*faxen.resistance(k)), coefficients, None, 0.0)
 
 
 def paraboloid() -> Any:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,7 +32,7 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import kernels
-from qbxstokes.motion.binding import bind
+from qbxstokes.motion.tracing import specialise
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
@@ -201,7 +202,6 @@ class RigidBodyEquations:
                 else:
                     self._fill_load(place, vectors)
         self._steady_loads = not self._timed_loads
-        self._kernel = self._whole_kernel()
 
     def repeated(self, count: int) -> RigidBodyEquations:
         """The equations of `count` times the same bodies: many instants as many bodies.
@@ -470,19 +470,37 @@ class RigidBodyEquations:
             self._fill_load(place, vectors(t))
         return self._load_rows
 
-    def _whole_kernel(self) -> Callable[[float, Any], Any] | None:
-        """dy/dt by the kernels in one piece: for polynomial flows without constraints."""
+    @cached_property
+    def _kernel(self) -> Callable[..., Any] | None:
+        """dy/dt by the kernels in one piece: for polynomial flows without constraints.
+
+        Numbers that differ from body to body, or in time, are handed over with the states.
+        """
         if self._table is None or not self._unconstrained:
             return None
-        bound = bind(int(self._table[0]), at_origin=not any(self._flow[5]))
-        kernel: Any = bound["massless" if self.massless else "inertial"]
-        head = (self._flow, self._law, self._mobility)
-        tail = () if self.massless else (self._rows(self._rates), self._gyration, self._follow)
-        if self._steady_loads:
-            loads = None if self._loads is None else self._rows(self._load_rows)
-            kernel.__defaults__ = (*head, loads, *tail)  # quicker than to hand them over each time
-            return lambda t, rows: kernel(*rows)
-        return lambda t, rows: kernel(*rows, *head, self._rows(self._loads_at(t)), *tail)
+        loaded, several = self._loads is not None, self.n_bodies > 1
+        handed = loaded and (several or not self._steady_loads)
+        loads = self._rows(self._load_rows) if loaded and not handed else None
+        rates = self._rows(self._rates)
+        n_rates = 4 if several and not self.massless else 0
+
+        def equations(rows: Any, more: Any) -> Any:
+            arguments = [*rows, self._flow, self._law, self._mobility]
+            arguments.append(tuple(more[:12]) if handed else loads)
+            if self.massless:
+                return kernels.massless(*arguments)
+            arguments += [more[-4:] if n_rates else rates, self._gyration, self._follow]
+            return kernels.inertial(*arguments)
+
+        kernel = specialise(equations, self.n_state, 12 * handed + n_rates)
+        if not (handed or n_rates):
+            return kernel
+
+        def with_numbers(t: float, rows: Any) -> Any:
+            forces = self._rows(self._loads_at(t)) if handed else ()
+            return kernel(t, rows, (*forces, *(rates if n_rates else ())))
+
+        return with_numbers
 
     def _pieces(self, t: float, rows: Any) -> Any:
         """dy/dt put together from the kernels, for providers and constraints."""

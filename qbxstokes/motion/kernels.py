@@ -1,10 +1,11 @@
 """The equations of motion, once, as scalar arithmetic.
 
 Every function down to the loops at the end takes and returns plain numbers and uses +, -, *, /
-alone. The same source therefore runs in four ways: on Python floats (one body, nothing to load),
-on NumPy rows (a block, one entry per body), compiled by numba over a block (compiled.py), and on
-complex numbers, which makes the Jacobian exact to rounding: Im f(y + i h e)/h has no subtraction,
-so that h may be 1e-100 (Squire & Trapp, SIAM Rev. 40, 1998).
+alone. The same source therefore runs in many ways: on Python floats, on NumPy rows (one entry per
+body), recorded and written out for the constants of a scene (tracing.py: one body, nothing to
+load), compiled by numba over a block (compiled.py), and on complex numbers, which makes the
+Jacobian exact to rounding: Im f(y + i h e)/h has no subtraction, so that h may be 1e-100 (Squire &
+Trapp, SIAM Rev. 40, 1998).
 
 The state of a body is x (centre, space), q (quaternion) and, for St > 0, V (velocity, space) and
 W (angular velocity, body). Flow derivatives come packed, symmetric indices once:

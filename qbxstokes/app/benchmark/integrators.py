@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.app.benchmark.timing import timed
-from qbxstokes.app.stress.scenes import exact_model
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.named import Shear
 from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Column, Table

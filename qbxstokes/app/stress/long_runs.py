@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.app.stress.checks import Checks
-from qbxstokes.app.stress.scenes import exact_model, polynomial
+from qbxstokes.app.stress.scenes import polynomial
 from qbxstokes.app.tabulate import Work
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.motion.equations import RigidBodyEquations

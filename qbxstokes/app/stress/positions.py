@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from qbxstokes.app.stress.checks import Checks
-from qbxstokes.app.stress.scenes import exact_model, polynomial, random_scene
+from qbxstokes.app.stress.scenes import polynomial, random_scene
 from qbxstokes.app.tabulate import Work
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.motion.equations import RigidBodyEquations

@@ -12,17 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body, model_distance
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.functional import (
-    BodyModel,
-    FaxenCoefficients,
-    Resistance,
     stokes_polynomials,
 )
 from qbxstokes.flows import PolynomialFlow, build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.reference import faxen
 
 Array = NDArray[np.float64]
 
@@ -182,18 +179,6 @@ def polynomial(kind: str, **keys: Any) -> PolynomialFlow:
     flow = build_flow({"type": kind, **keys})
     assert isinstance(flow, PolynomialFlow)
     return flow
-
-
-def exact_model(aspect_ratio: float) -> BodyModel:
-    """The body model by the closed forms of Lamb, Jeffery and Faxen."""
-    linear, quadratic, cubic = faxen.body_coefficients(aspect_ratio)
-    return BodyModel(
-        aspect_ratio,
-        Resistance(*faxen.resistance(aspect_ratio)),
-        FaxenCoefficients(linear, quadratic, cubic),
-        None,
-        0.0,
-    )
 
 
 def true_error(body: AccurateBody) -> float:

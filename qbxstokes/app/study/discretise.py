@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import model_distance
-from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.bie.exact import exact_model
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import SurfaceOperators, form_body_model, surface_operators
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme
-from qbxstokes.reference import faxen
 
 Array = NDArray[np.float64]
 
@@ -50,19 +50,6 @@ class Resolved(GradedScheme):
     def grid(self, spheroid: Spheroid, n_phi: int) -> Any:
         """The grid of the uniform scheme."""
         return UniformScheme(self.n_theta, 3, 0, 1e-6, 1).grid(spheroid, n_phi)
-
-
-def exact_model(k: float) -> BodyModel:
-    """The closed forms of Lamb, Jeffery and Faxen."""
-    across, along, turning, spinning = faxen.resistance(k)
-    linear, quadratic, cubic = faxen.body_coefficients(k)
-    return BodyModel(
-        k,
-        Resistance(across, along, turning, spinning),
-        FaxenCoefficients(linear, quadratic, cubic),
-        None,
-        0.0,
-    )
 
 
 def uniform(

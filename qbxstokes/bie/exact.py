@@ -1,0 +1,18 @@
+"""The body model of a spheroid by closed forms, to compare with."""
+
+from __future__ import annotations
+
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.reference import faxen
+
+
+def exact_model(aspect_ratio: float) -> BodyModel:
+    """The body model by the closed forms of Lamb, Jeffery and Faxen (Kim & Karrila 1991, ch. 3)."""
+    linear, quadratic, cubic = faxen.body_coefficients(aspect_ratio)
+    return BodyModel(
+        aspect_ratio,
+        Resistance(*faxen.resistance(aspect_ratio)),
+        FaxenCoefficients(linear, quadratic, cubic),
+        None,
+        0.0,
+    )
