@@ -47,7 +47,7 @@ N_INERTIAL = 13
 
 # From this size of the block, or this number of right-hand sides of a single body, the compiled
 # kernels repay their import (0.4 s, and some seconds of compilation once on a machine, against
-# some 10 us a right-hand side).
+# some 6 us a right-hand side).
 COMPILED_BLOCK = 8
 COMPILED_EVALUATIONS = 500_000
 
