@@ -93,7 +93,7 @@ class _Former:
         body = self._body()
         facts = {
             "scheme": self._section.scheme,
-            "completion": self._section.completion,
+            "completion": self._plan.completion,
             "gmres_tolerance": self._residual,
             "cache": "found" if self._cache.found > found else "formed",
             "n_phi": body.functional.grid.n_phi,
@@ -119,11 +119,16 @@ class _Former:
             "tolerance": section.tolerance,
             "side": side_of(section),
             "scheme": None if scheme is None else [section.scheme, asdict(scheme)],
-            "completion": section.completion,
+            "completion": self._plan.completion,
             "residual": self._residual,
             "preconditioner": section.preconditioner,
         }
         arrays = self._cache.load("body", key)
+        if arrays is None and self._plan.completion is None:
+            # A body with its resistance serves as well: whether there is one changes no output.
+            arrays = self._cache.load("body", {**key, "completion": "surface"})
+            if arrays is not None:
+                del arrays["model_resistance"]
         if arrays is not None:
             return AccurateBody.from_arrays(arrays)
         try:
@@ -134,7 +139,7 @@ class _Former:
                 side=side_of(section),
                 degree=degree,
                 strict="tolerance" in section.model_fields_set,
-                completion=section.completion,
+                completion=self._plan.completion,
                 solver=self._solver,
                 form_rows=self._form_rows,
             )
@@ -193,7 +198,8 @@ class _Former:
         # odd number has no mode of half its own, which the preconditioner cannot invert.
         n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
         facts |= {**vars(scheme), "n_phi": n_phi}
-        spread = self._section.completion == "surface"
+        completion = self._plan.completion
+        spread = completion == "surface"
         n_modes = n_phi // 2 + 1
         key = {
             "aspect_ratio": self._spheroid.aspect_ratio,
@@ -208,7 +214,7 @@ class _Former:
             self._cache.store("operator", key, {"double": rows[0], "single": rows[1]})
         else:
             rows = arrays["double"], arrays["single"]
-        operators = surface_operators(self._spheroid, scheme, n_phi, self._section.completion, rows)
+        operators = surface_operators(self._spheroid, scheme, n_phi, completion, rows)
         return SolveMotion(operators, self._flow, self._solver)
 
 

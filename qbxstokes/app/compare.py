@@ -67,7 +67,8 @@ def compare(
 ) -> Comparison:
     """Hold the samples against every reference that applies to the case."""
     found = Comparison()
-    _resistance(found, model)
+    if model.formed_resistance is not None:
+        _resistance(found, model)
     polynomial = flow.polynomial
     if polynomial is None:
         found.note = "no closed form for the motion in this flow"

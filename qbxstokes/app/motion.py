@@ -194,7 +194,7 @@ def _facts(
             "error_estimate": body.model.error_estimate,
         },
         "cache_problems": body.problems,
-        "resistance": vars(body.model.resistance),
+        **({"resistance": vars(formed)} if (formed := body.model.formed_resistance) else {}),
         "relaxation_times": relaxation_times(equations),
         "integration": {
             "method": trajectory.method,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.app.field_targets import chosen_instants, targets_of
+from qbxstokes.bie.resistance import Completion
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
 from qbxstokes.errors import CaseError, FlowError
@@ -31,6 +32,7 @@ class Plan:
     position: Array
     quaternion: Array
     hydrodynamics: str  # "table", "grid" or "every_step"
+    completion: Completion | None  # of the resistance problem, None where it is left out
     output: Path
     fields: tuple[str, ...]
     needs: tuple[str, ...]
@@ -43,8 +45,11 @@ class Plan:
         return 8 * numbers * len(self.times)
 
 
-def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
-    """Plan of `task: motion`; raises CaseError for what the schema alone cannot see."""
+def make_plan(loaded: LoadedCase, overwrite: bool = False, pushed: bool = False) -> Plan:
+    """Plan of `task: motion`; raises CaseError for what the schema alone cannot see.
+
+    pushed: form the resistance, which others that share the body need, in any case.
+    """
     case, flow = loaded.case, loaded.flow
     assert case.time is not None  # the schema requires it for this task
     output = result_path(loaded)
@@ -92,7 +97,10 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
     kind = "every_step" if case.hydrodynamics.solve == "every_step" else "grid"
     if kind == "grid" and flow.degree is not None and flow.degree <= 3:
         kind = "table"
-    needs, skips = _work(case, kind, flow.degree)
+    completion = case.hydrodynamics.completion
+    if completion is None and (pushed or subject_to_forces(case)):
+        completion = "surface"
+    needs, skips = _work(case, kind, flow.degree, completion)
     return Plan(
         times=times,
         period=period,
@@ -100,11 +108,17 @@ def make_plan(loaded: LoadedCase, overwrite: bool = False) -> Plan:
         position=position,
         quaternion=quaternion,
         hydrodynamics=kind,
+        completion=completion,
         output=output,
         fields=fields,
         needs=needs,
         skips=skips,
     )
+
+
+def subject_to_forces(case: Case) -> bool:
+    """Whether force and torque enter the motion, or come of it: by inertia, load or constraint."""
+    return case.body.stokes_number > 0 or case.forces.given or case.constraints.given
 
 
 def result_path(loaded: LoadedCase) -> Path:
@@ -191,7 +205,9 @@ def _times(case: Case, period: float | None) -> Array:
     return np.linspace(0.0, end, time.samples)
 
 
-def _work(case: Case, kind: str, degree: int | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _work(
+    case: Case, kind: str, degree: int | None, completion: Completion | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What is computed and what is not, each with its reason, in a line."""
     massless = case.body.stokes_number == 0
     needs, skips = [], []
@@ -216,6 +232,8 @@ def _work(case: Case, kind: str, degree: int | None) -> tuple[tuple[str, ...], t
         needs.append("position and orientation only: 7 equations (massless body)")
         if not driven:
             skips.append("force and torque: zero at every instant on a massless body")
+        if completion is None:
+            skips.append("resistance: the mobility problem alone gives the motion without forces")
     else:
         needs.append("resistance, velocities and orientation: 13 equations (inertial body)")
     if driven:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.app.plan import Plan, make_plan
+from qbxstokes.app.plan import Plan, make_plan, subject_to_forces
 from qbxstokes.config.load import LoadedCase, from_document
 from qbxstokes.config.sweep import Column, Key
 
@@ -149,7 +149,7 @@ class Scenes:
         data = self.space.assign(self.loaded.document.data, self.first_points(number))
         document = replace(self.loaded.document, data=data)
         loaded = from_document(document, self.loaded.path)
-        self._latest = Scene(number, loaded, make_plan(loaded))
+        self._latest = Scene(number, loaded, make_plan(loaded, pushed=self._pushed))
         return self._latest
 
     @property
@@ -163,6 +163,17 @@ class Scenes:
             for _, column in self.space.columns
         )
         return None if varies else self.scene(0).plan.times
+
+    @cached_property
+    def _pushed(self) -> bool:
+        """Whether forces enter any motion of the sweep: its bodies serve every Stokes number."""
+        columns = [column for _, column in self.space.columns]
+        if any(column.key[0] in ("forces", "constraints") for column in columns):
+            return True
+        stokes = [c.take(np.arange(c.size)) for c in columns if c.key == STOKES]
+        if any(np.any(values) for values in stokes):
+            return True
+        return subject_to_forces(self.loaded.case)
 
     # -- which values make a scene ------------------------------------------------------------
 

@@ -190,11 +190,12 @@ def _solved(summary: dict[str, Any]) -> Rows:
         yield "", "body model from the cache (--no-cache forms it anew)"
     if hydro.get("error_parts"):
         yield "estimated error", _estimate(hydro)
-    across, along, turning, spinning = summary["resistance"].values()
-    yield (
-        "resistance",
-        f"{across:.9g} across, {along:.9g} along the axis; rotation {turning:.9g}, {spinning:.9g}",
-    )
+    if "resistance" in summary:
+        across, along, turning, spinning = (
+            f"{value:.9g}" for value in summary["resistance"].values()
+        )
+        text = f"{across} across, {along} along the axis; rotation {turning}, {spinning}"
+        yield "resistance", text
     layer = summary["relaxation_times"]
     if layer:
         a, b, c, d = (quantity(value) for value in layer.values())

@@ -144,7 +144,7 @@ def accurate_body(
     side: Side = "inner",
     degree: int = 3,
     strict: bool = True,
-    completion: Completion = "surface",
+    completion: Completion | None = "surface",
     solver: SolverFactory = DirectSolver,
     form_rows: RowFormer = layer_rows,
 ) -> AccurateBody:
@@ -152,6 +152,7 @@ def accurate_body(
 
     scheme: parameters that an expert fixed; then nothing is refined and the estimate only reported.
     degree: of a polynomial flow; what only flows of higher degree would feel is not estimated.
+    completion: None leaves out the resistance, which a body on which no force acts never asks for.
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
@@ -180,7 +181,7 @@ def accurate_body(
 def plain_body(
     spheroid: Spheroid,
     scheme: Scheme,
-    completion: Completion = "surface",
+    completion: Completion | None = "surface",
     solver: SolverFactory = DirectSolver,
     form_rows: RowFormer = layer_rows,
 ) -> AccurateBody:
@@ -212,7 +213,7 @@ class _Body(AccurateBody):
 def _form(
     spheroid: Spheroid,
     scheme: Scheme,
-    completion: Completion,
+    completion: Completion | None,
     solver: SolverFactory,
     form_rows: RowFormer,
 ) -> _Body:
@@ -232,7 +233,7 @@ def _model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyMode
 
 def estimate_error(
     body: AccurateBody,
-    completion: Completion = "surface",
+    completion: Completion | None = "surface",
     form_rows: RowFormer = layer_rows,
     degree: int = 3,
 ) -> ErrorParts:
@@ -296,9 +297,10 @@ def _coarser(scheme: UniformScheme) -> dict[str, UniformScheme]:
 def model_distance(one: BodyModel, other: BodyModel, degree: int = 3) -> float:
     """Largest relative difference of two body models, in force, torque or free motion.
 
-    Resistances relative to themselves; the coefficients of one degree may all err in one direction
-    and count by their sum, relative to the largest quadratic one, the squared radius over which
-    second and third derivatives act. Coefficients above the flow's degree do not count.
+    Resistances relative to themselves, where both models hold them; the coefficients of one degree
+    may all err in one direction and count by their sum, relative to the largest quadratic one, the
+    squared radius over which second and third derivatives act. Coefficients above the flow's degree
+    do not count.
     """
     f, g = one.faxen, other.faxen
     area = float(np.max(np.abs(f.quadratic)))
@@ -308,7 +310,10 @@ def model_distance(one: BodyModel, other: BodyModel, degree: int = 3) -> float:
         float(np.sum(np.abs(f.cubic - g.cubic))) / area,
     )
     motion = max(parts[: max(1, degree)])
-    numbers = zip(vars(one.resistance).values(), vars(other.resistance).values(), strict=True)
+    r, s = one.formed_resistance, other.formed_resistance
+    if r is None or s is None:
+        return motion
+    numbers = zip(vars(r).values(), vars(s).values(), strict=True)
     return float(motion + max(abs(a / b - 1.0) for a, b in numbers))
 
 
@@ -322,7 +327,7 @@ def adjoint_tail(functional: ModalFunctional) -> float:
     return max(float(np.max(m[:, -2:]) / np.max(m)) for m in moments)
 
 
-def _rounding(body: _Body, completion: Completion, degree: int) -> float:
+def _rounding(body: _Body, completion: Completion | None, degree: int) -> float:
     """Change of the model when every entry of the rows moves by a rounding error of its sum."""
     functional, scheme = body.functional, body.scheme
     grid, rng = functional.grid, np.random.default_rng(0)

@@ -98,28 +98,37 @@ class ErrorParts:
 class BodyModel:
     """Hydrodynamics of one spheroid, formed once per aspect ratio and discretisation.
 
+    formed_resistance: None where it was left out, for bodies on which no force acts.
     error_estimate: relative error of resistance and free motion; without error_parts only the
     misfit of the law for polynomial flows.
     """
 
     aspect_ratio: float
-    resistance: Resistance
+    formed_resistance: Resistance | None
     faxen: FaxenCoefficients
     grid: GridFunctional | None
     error_estimate: float
     error_parts: ErrorParts | None = None
 
+    @property
+    def resistance(self) -> Resistance:
+        """The resistance. Raises ValueError where it was not formed."""
+        if self.formed_resistance is None:
+            raise ValueError("this body model was formed without the resistance")
+        return self.formed_resistance
+
     def to_arrays(self) -> dict[str, Array]:
         """Plain arrays that hold the model, for storage; `from_arrays` restores it."""
-        r, f = self.resistance, self.faxen
+        f = self.faxen
         arrays = {
             "aspect_ratio": np.array(self.aspect_ratio),
-            "resistance": np.array([getattr(r, field.name) for field in fields(r)]),
             "linear": np.array(f.linear),
             "quadratic": f.quadratic,
             "cubic": f.cubic,
             "error_estimate": np.array(self.error_estimate),
         }
+        if self.formed_resistance is not None:
+            arrays["resistance"] = np.array(list(vars(self.resistance).values()))
         if self.grid is not None:
             arrays |= {"points": self.grid.points, "weights": self.grid.weights}
         if self.error_parts is not None:
@@ -133,7 +142,7 @@ class BodyModel:
         grid = GridFunctional(arrays["points"], arrays["weights"]) if "points" in arrays else None
         return cls(
             float(arrays["aspect_ratio"]),
-            Resistance(*(float(value) for value in arrays["resistance"])),
+            Resistance(*arrays["resistance"].tolist()) if "resistance" in arrays else None,
             FaxenCoefficients(
                 float(arrays["linear"]),
                 np.asarray(arrays["quadratic"]),
@@ -246,11 +255,14 @@ def adjoint_weights(
     return weights
 
 
-def resistance(weights: dict[str, Array], completion: dict[str, Array]) -> Resistance:
+def resistance(weights: dict[str, Array], completion: dict[str, Array]) -> Resistance | None:
     """Resistance from the free motion of the body pushed by a completion of unit force or torque.
 
-    The mobility problem with that force has the completion flow as its data: U = R^-1 F.
+    The mobility problem with that force has the completion flow as its data: U = R^-1 F. None
+    without a completion.
     """
+    if not completion:
+        return None
     return Resistance(**{name: 1.0 / float(weights[name] @ completion[name]) for name in weights})
 
 

@@ -65,7 +65,8 @@ SolverFactory = Callable[[ModalOperator, SurfaceGrid], Solver]
 class SurfaceOperators:
     """Double layer (n_modes, 3n, 3n) on a grid with n_phi // 2 + 1 modes, and what follows.
 
-    completion_flows: amplitudes on the surface of the completion of unit force or torque.
+    completion_flows: amplitudes on the surface of the completion of unit force or torque; empty
+    where only the mobility problem without force and torque is to be posed.
     """
 
     grid: SurfaceGrid
@@ -85,7 +86,9 @@ class SurfaceOperators:
 
     @cached_property
     def resistance(self) -> ModalOperator:
-        """Operator of the resistance problem."""
+        """Operator of the resistance problem. Raises ValueError without a completion."""
+        if not self.completion_flows:
+            raise ValueError("the resistance problem needs operators with a completion")
         blocks = resistance_blocks(self.double_layer, self.rigid, self.completion_flows)
         return ModalOperator(blocks, self.grid.n_theta, self.grid.n_phi)
 
@@ -126,13 +129,14 @@ def surface_operators(
     spheroid: Spheroid,
     scheme: Scheme,
     n_phi: int = 3,
-    completion: Completion = "surface",
+    completion: Completion | None = "surface",
     rows: tuple[Array, Array] | None = None,
 ) -> SurfaceOperators:
     """Operators on the grid of n_phi azimuthal nodes (3 suffices for the motion of the body).
 
-    rows: the result of `layer_rows` for all independent rows, where these were formed elsewhere;
-    with the spread completion it must hold the single layer.
+    completion: None leaves out what force and torque need, the single layer above all. rows: the
+    result of `layer_rows` for all independent rows, where these were formed elsewhere; with the
+    spread completion it must hold the single layer.
     """
     grid = scheme.grid(spheroid, n_phi)
     n_modes = n_phi // 2 + 1
@@ -140,9 +144,10 @@ def surface_operators(
         wanted = independent_rows(scheme.n_theta)
         rows = layer_rows(spheroid, scheme, n_modes, wanted, completion == "surface")
     double = blocks_from_rows(rows[0])
+    flows = {}
     if completion == "surface":
         flows = surface_completion(grid, blocks_from_rows(rows[1]))
-    else:
+    elif completion == "point":
         flows = point_completion(grid)
     return SurfaceOperators(grid, double, flows)
 

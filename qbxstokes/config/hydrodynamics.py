@@ -77,9 +77,13 @@ class Hydrodynamics(Section):
         ),
         examples=["inner"],
     )
-    completion: Literal["surface", "point"] = Field(
-        default="surface",
-        description="flow that carries force and torque: spread, or at the centre",
+    completion: Literal["surface", "point"] | None = Field(
+        default=None,
+        description=(
+            "surface / point: flow that carries force and torque, spread or at the centre; unset: "
+            "surface, but no resistance is formed where no force acts"
+        ),
+        examples=["surface"],
     )
     solve: Literal["functional", "every_step"] = Field(
         default="functional",

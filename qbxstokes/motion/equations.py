@@ -20,6 +20,7 @@ zero, unread.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -148,7 +149,11 @@ class RigidBodyEquations:
         evaluation: Evaluation = "auto",
         inertia: Inertia = "both",
     ) -> None:
-        """Precompute rates and tables. Raises ValueError for mixed or negative Stokes numbers."""
+        """Precompute rates and tables.
+
+        Raises ValueError for mixed or negative Stokes numbers, and for bodies with mass, loads or
+        constraints whose model was formed without the resistance.
+        """
         self.model, self.n_bodies = model, n_bodies
         self.stokes_number: Array = np.broadcast_to(
             np.asarray(stokes_number, dtype=np.float64), (n_bodies,)
@@ -164,13 +169,10 @@ class RigidBodyEquations:
         if inertia != "both" and not self.massless:
             self._follow = (float(inertia == "rotation"), float(inertia == "translation"))
 
-        r = model.resistance
-        self._resistance = (
-            r.translation_transverse,
-            r.translation_axial,
-            r.rotation_transverse,
-            r.rotation_axial,
-        )
+        self._force_free = self.massless and loads is None and self._unconstrained
+        # Force-free bodies read none of what follows from the resistance.
+        numbers = (math.nan,) * 4 if self._force_free else vars(model.resistance).values()
+        self._resistance = tuple(numbers)
         self._mobility = tuple(1.0 / value for value in self._resistance)
         spheroid = Spheroid(model.aspect_ratio)
         j1, _, j3 = (float(value) for value in spheroid.inertia)
@@ -431,6 +433,8 @@ class RigidBodyEquations:
 
         F = R_t (U - V) and M = R_r (Omega - W); external loads are not part of them.
         """
+        if self._force_free:
+            return np.zeros((self.n_bodies, 3)), np.zeros((self.n_bodies, 3))
         q = rotation.normalize(y[:, 3:7])
         v, omega = self.velocities(t, y)
         if isinstance(self._provider, ForceTorque):

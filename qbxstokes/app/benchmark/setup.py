@@ -24,6 +24,7 @@ from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme, independ
 
 if TYPE_CHECKING:
     from qbxstokes.app.tabulate import Work
+    from qbxstokes.bie.resistance import Completion
 
 # Aspect ratio, n_theta, order, r/h, upsampling: on the front of error against time of a scan of the
 # uniform scheme over all four, up to seconds a body.
@@ -214,6 +215,10 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     x, q = np.zeros((1, 3)), np.array([[0.8, 0.3, -0.4, 0.33]])
     q /= np.linalg.norm(q)
 
+    def whole_set_up(completion: Completion | None) -> Any:
+        law = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
+        return np.concatenate([[law.linear], law.quadratic, law.cubic])
+
     def model_of(n_phi: int, used: Scheme) -> Any:
         chosen = surface_operators(spheroid, used, n_phi)
         coefficients, _ = faxen_coefficients(modal_functional(chosen))
@@ -234,6 +239,11 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
         "azimuthal modes above 1",
         lambda: model_of(8, scheme),
         lambda: model_of(3, scheme),
+    )
+    yield (
+        "resistance where no force acts",
+        lambda: whole_set_up("surface"),
+        lambda: whole_set_up(None),
     )
     yield "outer expansions", lambda: model_of(3, both), lambda: model_of(3, scheme)
     yield (
