@@ -44,9 +44,23 @@ def small(name: str) -> dict[str, Table]:
 
 
 def test_every_way_to_a_right_hand_side_is_the_closed_form() -> None:
-    table = small("step")["step"]
-    assert table["difference"].max() < 1e-10
-    assert table["ratio"][0] == 1.0
+    tables = small("step")
+    assert tables["step"]["difference"].max() < 1e-10
+    assert tables["step"]["ratio"][0] == 1.0
+    assert tables["integrated"]["difference"].max() < 1e-14
+    evaluations = tables["integrated"]["evaluations"].reshape(2, -1)
+    assert np.array_equal(evaluations, evaluations[:, :1].repeat(3, axis=1))  # the same steps
+
+
+def test_events_between_the_steps_leave_the_motion_and_petscs_agree() -> None:
+    table = small("events")["events"]
+    found, errors = table["found"].reshape(-1, 5), table["error"].reshape(-1, 5)
+    assert np.array_equal(errors[:, 0], errors[:, 1])
+    assert np.array_equal(found, np.outer(np.ones(len(found)), [0, 2, 2, 2, 2]))
+    off = np.array([value for value in table["off_plane"] if value is not None], dtype=float)
+    off = off[np.isfinite(off)].reshape(-1, 4)
+    assert off.max() < 1e-5
+    assert off[:, 0].max() < 1e-7  # ten times the tolerance, as the table asks
 
 
 def test_the_closed_form_is_jefferys() -> None:

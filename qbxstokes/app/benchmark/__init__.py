@@ -9,6 +9,7 @@ MAKERS: dict[str, str] = {
     "setup": "qbxstokes.app.benchmark.setup",
     "step": "qbxstokes.app.benchmark.step",
     "integrators": "qbxstokes.app.benchmark.integrators",
+    "events": "qbxstokes.app.benchmark.events",
     "command": "qbxstokes.app.benchmark.command",
     "batch": "qbxstokes.app.benchmark.batch",
     "ranks": "qbxstokes.app.benchmark.ranks",
