@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from qbxstokes.app.cli import run_command
 from qbxstokes.app.study import MAKERS, simulate
 from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import build_flow
@@ -18,6 +19,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Table
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.reference import heavy
+from qbxstokes.reference.inertial import inertia as moments_of_inertia
 
 Array = Any
 
@@ -102,6 +104,35 @@ def test_small_stokes_numbers_drift_by_the_averaged_rate(k: float) -> None:
     assert heavy.orbit_drift_coefficient(k, 1e4) == pytest.approx(tumbling, rel=1e-4)
     assert -heavy.tumbling_exponent(k, stokes) / stokes == pytest.approx(tumbling, rel=1e-3)
     assert np.sign(rolling) == np.sign(tumbling) == np.sign(1.0 - k)
+
+
+@pytest.mark.parametrize(("k", "lag"), [(0.1, 0.03), (0.5, 3.0), (5.0, 0.5)])
+def test_exponent_of_tumbling_is_that_of_stepwise_integration(k: float, lag: float) -> None:
+    """The same linear system for (z, z', s), in time beside the angle a' = -p(a), by DOP853."""
+    from scipy.integrate import solve_ivp
+
+    stokes = lag * heavy.relaxation_rates(k)[2]
+    orbit = heavy.tumbling(k, stokes)
+    across, along = (rate / stokes for rate in heavy.relaxation_rates(k)[2:])
+    ratio = moments_of_inertia(k)[2] / moments_of_inertia(k)[0]
+    waves = np.fft.rfft(orbit.speed) / orbit.angle.size
+    waves[1:] *= 2.0
+    harmonics = np.arange(waves.size)
+
+    def rate(_: float, y: Array) -> Array:
+        a, z, dz, s = y[0], *y[1:].reshape(3, 3)
+        p = float(np.sum((waves * np.exp(2j * harmonics * a)).real))
+        pull = heavy.shape(k) * np.sin(a) * np.cos(a)
+        ddz = -p * p * z - across * (pull * z + dz) - ratio * s * p
+        return np.concatenate([[-p], dz, ddz, -along * (0.5 * z + s)])
+
+    start = np.concatenate([[np.pi], np.eye(3).ravel()])
+    run = solve_ivp(rate, (0.0, orbit.half_turn), start, "DOP853", rtol=1e-12, atol=1e-14)
+    assert run.y[0, -1] == pytest.approx(0.0, abs=1e-7)  # what the nodes of the orbit hold
+    multipliers = np.linalg.eigvals(run.y[1:, -1].reshape(3, 3))
+    growth = float(np.log(np.max(np.abs(multipliers))))
+    exponent = heavy.tumbling_exponent(k, stokes)
+    assert exponent * orbit.half_turn == pytest.approx(growth, abs=1e-9)
 
 
 @pytest.mark.parametrize(("k", "lag"), [(0.2, 1.0), (0.5, 10.0), (2.0, 0.5)])
@@ -253,6 +284,8 @@ def test_blocks_are_plain_data_and_tables_and_figures_fit(name: str) -> None:
         for key in ("x", "y", "by", "value"):
             wanted = table.plot.get(key, [])
             assert names >= set([wanted] if isinstance(wanted, str) else wanted)
+    assert study.FIGURES
+    assert all(callable(draw) for draw in study.FIGURES.values())
 
 
 CASE = """\
@@ -317,3 +350,122 @@ def test_unfinished_study_is_kept_and_told(
     other = run_cli(case, "--quiet", "--resume")
     assert other.returncode == 2
     assert "another study" in other.stderr
+
+
+# -- ranks, and runs that stop --------------------------------------------------------------------
+
+TWO = CASE.replace("[acceleration]", "[acceleration, rotation_rate]")
+# Every picture that is saved is noted.
+NOTING = """
+import sys
+from qbxstokes.plots import style
+save, saved = style.save, []
+def noting(figure, path, *rest):
+    with open("saved.txt", "a") as log:
+        log.write(path.name + chr(10))
+    return save(figure, path, *rest)
+style.save = noting
+from qbxstokes.app.cli import run_command
+sys.exit(run_command(sys.argv[1:]))
+"""
+
+
+def made_of(folder: Path) -> dict[str, Any]:
+    """Tables of the CSV files and of the result to the last bit, and the bytes of the pictures."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    for path in sorted(folder.glob("out_*")):
+        if path.suffix == ".csv":
+            table = Table.read_csv(path)
+            found[path.name] = (table.columns, table.rows)
+        else:
+            found[path.name] = path.read_bytes()
+    with h5py.File(folder / "out.h5") as file:
+        for name, group in file["tables"].items():
+            for column, data in group.items():
+                found[f"{name}/{column}"] = data[()].tobytes() if data.dtype.kind != "O" else (
+                    data.asstr()[()].tolist()
+                )  # fmt: skip
+    return found
+
+
+@pytest.mark.mpi
+def test_any_number_of_ranks_makes_the_same_tables_and_pictures_once(
+    mpirun: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_case(TWO)
+    found = []
+    for ranks in (1, 2, 3):
+        done = mpirun(ranks, "case.yaml", "--quiet", "--overwrite", script=NOTING)
+        assert done.returncode == 0, done.stderr
+        assert not done.stderr
+        found.append(made_of(tmp_path))
+        saved = (tmp_path / "saved.txt").read_text().split()
+        (tmp_path / "saved.txt").unlink()
+        pictures = [f"out_{name}.{k}" for name in ("acceleration", "rotation_rate")
+                    for k in ("pdf", "png")]  # fmt: skip
+        assert sorted(saved) == pictures
+        assert not (tmp_path / "out.h5.parts").exists()
+        for path in tmp_path.glob("out*"):
+            path.unlink()
+    assert found[0].keys() >= {"out_transition.csv", "out_rotation_rate.pdf", "transition/theory"}
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.mpi
+def test_a_picture_that_cannot_be_written_ends_all_ranks_with_one_line(
+    mpirun: Callable[..., Any], write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_case(TWO)
+    (tmp_path / "out_rotation_rate.png").mkdir()
+    refused = mpirun(2, "case.yaml", "--quiet", timeout=60)
+    assert refused.returncode == 2
+    assert "out_rotation_rate.png: cannot be written" in refused.stderr
+    lines = [line for line in refused.stderr.splitlines() if "qbxstokes" in line or "out_" in line]
+    assert len(lines) == 1
+    assert not (tmp_path / "out.h5").exists()
+    (tmp_path / "out_rotation_rate.png").rmdir()
+    done = mpirun(2, "case.yaml", "--quiet", "--resume")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out.h5").exists()
+    assert (tmp_path / "out_rotation_rate.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("where", ["a table", "a picture", "the result"])
+def test_a_study_stopped_after_its_blocks_goes_on_without_them(
+    where: str,
+    write_case: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from qbxstokes.io.results import ResultWriter
+    from qbxstokes.plots import style
+
+    monkeypatch.chdir(tmp_path)
+    words = [str(write_case(CASE)), "--quiet"]
+    assert run_command(words) == 0
+    whole = made_of(tmp_path)
+    for path in tmp_path.glob("out*"):
+        path.unlink()
+
+    def stop(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    study = import_module(MAKERS["acceleration"])
+    with monkeypatch.context() as patch:
+        owner, name = {
+            "a table": (study, "tables"), "a picture": (style, "save"),
+            "the result": (ResultWriter, "finish"),
+        }[where]  # fmt: skip
+        patch.setattr(owner, name, stop)
+        assert run_command(words) == 130
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "out.h5.parts: go on with --resume" in told
+    assert not (tmp_path / "out.h5").exists()
+    monkeypatch.setattr(study, "compute", stop)  # nothing is computed again
+    assert run_command([*words, "--resume"]) == 0
+    assert made_of(tmp_path) == whole
+    assert not (tmp_path / "out.h5.parts").exists()

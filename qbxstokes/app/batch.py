@@ -27,14 +27,14 @@ from qbxstokes.app.clock import Clock
 from qbxstokes.app.columns import SUMMARY
 from qbxstokes.app.compilation import compilation_told
 from qbxstokes.app.handout import HandOut
-from qbxstokes.app.interrupt import Interruption
+from qbxstokes.app.interrupt import Interruption, interrupted
 from qbxstokes.app.parallel import on_root
 from qbxstokes.app.plan import result_path
 from qbxstokes.app.progress import Progress
 from qbxstokes.app.scenes import Scene, Scenes
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.sweep import column_name
-from qbxstokes.errors import CaseError, ConvergenceError, Interrupted, QbxStokesError
+from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
@@ -155,7 +155,7 @@ def run_sweep(
     except OSError as error:
         raise store.full_disk(work.target, error) from None
     except KeyboardInterrupt:
-        raise interrupted(work, 2) from None
+        raise interrupted(work.folder, 2) from None
     with clock.part("waiting"):
         counters.wait()
     failed = counters.read(handout.FAILED)
@@ -414,13 +414,6 @@ def _models(
     return models
 
 
-def interrupted(work: Work, number: int) -> Interrupted:
-    """What to tell when a signal has stopped the sweep."""
-    return Interrupted(
-        f"interrupted; finished blocks are kept in {work.folder}: go on with --resume", number
-    )
-
-
 @dataclass
 class Team:
     """What a rank shares with the others while it computes."""
@@ -434,7 +427,7 @@ class Team:
     def poke(self) -> bool:
         """Between steps: serve MPI, tell the progress, heed signals (raises Interrupted)."""
         if self.interruption.asked():
-            raise interrupted(self.work, self.interruption.signal)
+            raise interrupted(self.work.folder, self.interruption.signal)
         if self.progress is None or not self.progress.due:
             self.counters.poke()
         else:

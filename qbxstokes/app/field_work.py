@@ -21,7 +21,7 @@ from qbxstokes.app import handout
 from qbxstokes.app.field_flow import FieldFlow, Instant
 from qbxstokes.app.field_targets import Targets, surface_angles
 from qbxstokes.app.handout import HandOut
-from qbxstokes.app.parallel import on_root
+from qbxstokes.app.parallel import agree, on_root
 from qbxstokes.bie.field import INSIDE, SOURCES
 from qbxstokes.errors import ConvergenceError, OutputError, QbxStokesError
 from qbxstokes.io import field as store
@@ -172,13 +172,7 @@ class FieldWork:
         with self.clock.part("waiting"):
             counters.wait()
         counters.close()
-        failures = [found.failure]
-        if self.comm.size > 1:
-            failures = self.comm.allgather(found.failure)
-        failure = next((entry for entry in failures if entry is not None), None)
-        if failure is not None:
-            failure.on_all_ranks = True
-            raise failure
+        agree(self.comm, found.failure)
         return found
 
     def _do(self, task: Task, rows: store.FieldRows, found: Found) -> None:

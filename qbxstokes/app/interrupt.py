@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import signal
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
+
+from qbxstokes.errors import Interrupted
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -48,3 +51,10 @@ class Interruption:
         """Give them back."""
         for number, handler in self._former.items():
             signal.signal(number, handler)
+
+
+def interrupted(folder: Path, number: int) -> Interrupted:
+    """What to tell when the signal `number` has stopped a run that keeps finished blocks."""
+    return Interrupted(
+        f"interrupted; finished blocks are kept in {folder}: go on with --resume", number
+    )

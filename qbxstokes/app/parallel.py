@@ -46,6 +46,15 @@ def on_root(comm: Any, action: Callable[[], T]) -> T:
     return value
 
 
+def agree(comm: Any, failure: QbxStokesError | None) -> None:
+    """Raise on all ranks what has failed on any of them, that of the lowest; all ranks together."""
+    failures = comm.allgather(failure) if comm.size > 1 else [failure]
+    first = next((entry for entry in failures if entry is not None), None)
+    if first is not None:
+        first.on_all_ranks = True
+        raise first
+
+
 def guarded(comm: Any, action: Callable[[], int]) -> int:
     """Run `action` on every rank; an error that not all ranks share ends the whole job.
 

@@ -198,6 +198,14 @@ def letter_panels(panels: Sequence[Axes]) -> None:
             axes.set_title(f"({chr(ord('a') + index)})", loc="right", pad=4)
 
 
+def lay_out(figure: Figure) -> None:
+    """Place everything now and for good: a figure saved several times is laid out once."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+
+
 def save(figure: Figure, path: Path, dpi: float | None = None, colours: int | None = None) -> Path:
     """Write the figure in the format of the name's ending; raises CaseError where it cannot.
 

@@ -29,6 +29,17 @@ Array = NDArray[np.float64]
 Inertia = Literal["both", "translation", "rotation"]
 
 _NODES = 512  # of the average over an orbit; its integrand is analytic in the phase
+# Radau IIA of three stages: order 5, and disturbances that decay within a step vanish
+# (Hairer & Wanner 1996, Solving Ordinary Differential Equations II, table IV.5.6).
+_ROOT = np.sqrt(6.0)
+_RADAU_PLACES = np.array([(4.0 - _ROOT) / 10.0, (4.0 + _ROOT) / 10.0, 1.0])
+_RADAU = np.array(
+    [
+        [(88.0 - 7.0 * _ROOT) / 360.0, (296.0 - 169.0 * _ROOT) / 1800.0, (3.0 * _ROOT - 2) / 225.0],
+        [(296.0 + 169.0 * _ROOT) / 1800.0, (88.0 + 7.0 * _ROOT) / 360.0, -(2 + 3 * _ROOT) / 225.0],
+        [(16.0 - _ROOT) / 36.0, (16.0 + _ROOT) / 36.0, 1.0 / 9.0],
+    ]
+)
 
 
 def shape(k: float) -> float:
@@ -281,38 +292,35 @@ def tumbling_exponent(k: float, stokes_number: float) -> float:
     """Growth rate of a small d3 about tumbling, for any St > 0; -b near C infinite for small St.
 
     z'' + a'^2 z = -(b/St)(lambda sin a cos a z + z') + (J3/J1) s a',  s' = -(b3/St)(z/2 + s),
-    over half a turn of the periodic solution (Floquet).
+    over half a turn of the periodic solution (Floquet). The system is linear: equal steps in the
+    angle, a 3 x 3 matrix each, are made all at once and multiplied. The error of the growth over a
+    half-turn is about 1e-12.
     """
-    from scipy.integrate import solve_ivp
-
     orbit = tumbling(k, stokes_number)
-    lam, rates = shape(k), relaxation_rates(k)
-    across, along = rates[2] / stokes_number, rates[3] / stokes_number
+    across, along = (rate / stokes_number for rate in relaxation_rates(k)[2:])
     ratio = float(inertia(k)[2] / inertia(k)[0])
-    n = orbit.angle.size
-    waves = np.fft.rfft(orbit.speed) / n
-    harmonics = np.arange(waves.size)
-
-    def speed(a: float) -> float:
-        terms = waves * np.exp(2j * harmonics * a)
-        return float(terms[0].real + 2.0 * np.sum(terms[1:].real))
-
-    def slope(a: float, y: Array) -> Array:
-        p = speed(a)
-        z, rate, spin = y.reshape(3, 3)
-        change = np.stack(
-            [
-                rate,
-                -p * p * z - across * (lam * np.sin(a) * np.cos(a) * z + rate) - ratio * spin * p,
-                -along * (0.5 * z + spin),
-            ]
-        )
-        return np.asarray(-change.ravel() / p)
-
-    solution = solve_ivp(
-        slope, (np.pi, 0.0), np.eye(3).ravel(), method="LSODA", rtol=1e-10, atol=1e-13
-    )
-    multipliers = np.linalg.eigvals(solution.y[:, -1].reshape(3, 3))
+    steps = 8 * orbit.angle.size
+    size = np.pi / steps
+    # Stages (steps, 3): the angle falls from pi to 0; p there from its Fourier series.
+    waves = np.fft.rfft(orbit.speed) / orbit.angle.size * steps
+    shifts = np.exp(2j * np.arange(waves.size) * (1.0 - _RADAU_PLACES[:, None]) * size)
+    p = np.fft.irfft(waves * shifts, steps)[:, ::-1].T
+    angle = np.pi - size * (np.arange(steps)[:, None] + _RADAU_PLACES)
+    system = np.zeros((steps, 3, 3, 3))  # d(z, z', s)/d(-angle) = system/p
+    system[..., 0, 1] = 1.0
+    system[..., 1, 0] = -p * p - across * shape(k) * np.sin(angle) * np.cos(angle)
+    system[..., 1, 1] = -across
+    system[..., 1, 2] = -ratio * p
+    system[..., 2, 0] = -0.5 * along
+    system[..., 2, 2] = -along
+    system /= p[..., None, None]
+    stages = np.eye(9) - size * np.einsum("ij,njab->niajb", _RADAU, system).reshape(-1, 9, 9)
+    product = np.linalg.solve(stages, np.tile(np.eye(3), (1, 3, 1)))[:, 6:]
+    while len(product) > 1:
+        even = len(product) // 2 * 2
+        paired = product[1:even:2] @ product[:even:2]
+        product = np.concatenate([paired, product[even:]])
+    multipliers = np.linalg.eigvals(product[0])
     return float(np.log(np.max(np.abs(multipliers))) / orbit.half_turn)
 
 

@@ -125,7 +125,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
     return fill([made], rows)
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """Fitted times over St inertia/R."""
     from qbxstokes.plots import style
 
@@ -168,4 +168,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
                           markerfacecolor="white" if marker != "o" else style.BLACK)  # fmt: skip
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside right center")
     style.letter_panels(list(panels.ravel()))
-    return {"acceleration": figure}
+    return figure
+
+
+FIGURES = {"acceleration": _figure}

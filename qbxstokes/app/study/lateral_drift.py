@@ -21,10 +21,12 @@ HALF_TURNS = 4
 FAR = 16.0  # distance from the axis at which the curvature is weak
 # A drift below this part of K is rounding.
 ZERO = 1e-11
+# Aspect ratios for which the drift is drawn with and without inertia of the rotation.
+_COMPARED = (0.1, 0.5, 5.0)
 
 
 def blocks(full: bool) -> list[dict[str, Any]]:
-    """Drift against St by parts, against distance and curvature, on orbits, and orbit drift."""
+    """Drift against St by parts, against distance and curvature, on orbits; orbit drift; theory."""
     found: list[dict[str, Any]] = []
     ratios = (0.1, 0.2, 0.5, 0.8, 1.0, 1.25, 2.0, 5.0) if full else (0.5, 1.0, 2.0)
     stokes = np.geomspace(0.1, 1000.0, 9) if full else np.array([1.0, 30.0])
@@ -46,6 +48,14 @@ def blocks(full: bool) -> list[dict[str, Any]]:
         for profile in ("paraboloid", "plane"):
             found.append({"k": k, "profile": profile, "constants": [0.3, 1.0, 3.0, 10.0, np.inf]})
         found += [{"k": k, "local": d, "stokes": light} for d in distances]
+    ends = [float(stokes[0]), float(stokes[-1])]
+    for k in ratios:
+        if k != 1.0:
+            found.append({"k": k, "maximum": True})
+            found += [
+                {"k": k, "curve": ends, "points": 80 if full else 10, "parts": parts}
+                for parts in (("both", "translation") if k in _COMPARED else ("both",))
+            ]
     return found
 
 
@@ -58,13 +68,20 @@ def compute(
     constants: list[float] | None = None,
     local: float | None = None,
     stokes: float = 0.0,
+    maximum: bool = False,
+    curve: list[float] | None = None,
+    points: int = 0,
 ) -> list[dict[str, Any]]:
-    """Mean velocity across the stream of tumbling bodies, on orbits, or the drift of orbits."""
+    """Mean velocity across the stream of tumbling bodies, on orbits; drift of orbits; theory."""
     if stokes_numbers is not None:
         return _tumbling(k, stokes_numbers, parts, distance)
     if profile is not None:
         assert constants is not None
         return _orbits(k, profile, constants)
+    if maximum:
+        return _maximum(k)
+    if curve is not None:
+        return _curve(k, np.geomspace(curve[0], curve[1], points), parts)
     assert local is not None
     return _local(k, local, stokes)
 
@@ -184,7 +201,7 @@ _ST = Column("stokes_number", "", "Stokes number", ".4g", "St")
 
 
 def tables(rows: list[dict[str, Any]]) -> list[Table]:
-    """The drift and its maximum, drift on orbits, and the drift of orbits."""
+    """The drift, its maximum and its theory, drift on orbits, and the drift of orbits."""
     unit = "K c^2"
     drift = Table(
         "lateral_drift",
@@ -246,11 +263,24 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         ),
         plot={"x": "distance", "y": "difference", "by": "aspect_ratio", "scale": "semilogx"},
     )
-    fill([drift, orbits, local], rows)
-    return [drift, _maxima(drift), orbits, local]
+    curve = Table(
+        "drift_curve",
+        "Drift over K of tumbling bodies by the periodic solution, weak curvature, shear rate 1",
+        (
+            _K,
+            _ST,
+            Column("inertia", "", "of both motions, or of the translation alone"),
+            Column("drift", unit, "of the periodic solution", ".5e"),
+        ),
+        plot={"x": "stokes_number", "y": "drift", "by": ["aspect_ratio", "inertia"],
+              "scale": "loglog"},
+    )  # fmt: skip
+    maxima = [row for row in rows if row["table"] == "drift_maximum"]
+    fill([drift, orbits, local, curve], [row for row in rows if row["table"] != "drift_maximum"])
+    return [drift, _maxima(drift, maxima), orbits, local, curve]
 
 
-def _maxima(drift: Table) -> Table:
+def _maxima(drift: Table, theory: list[dict[str, Any]]) -> Table:
     """Where the drift is largest, and how it dies out, for every aspect ratio."""
     made = Table(
         "drift_maximum",
@@ -271,37 +301,32 @@ def _maxima(drift: Table) -> Table:
         ),
         plot={"x": "aspect_ratio", "y": "drift", "scale": "loglog"},
     )
-    for k in sorted(set(drift["aspect_ratio"].tolist())):
+    for row in theory:
         chosen = (
-            (drift["aspect_ratio"] == k) & (drift["inertia"] == "both") & (drift["distance"] == FAR)
+            (drift["aspect_ratio"] == row["aspect_ratio"])
+            & (drift["inertia"] == "both")
+            & (drift["distance"] == FAR)
         )
-        if k == 1.0 or not chosen.any():
+        if not chosen.any():
             continue
-        stokes, top = maximum(k)
         best = int(np.argmax(drift["drift"][chosen]))
-        across, along = heavy.relaxation_rates(k)[:2]
-        order = np.argsort(drift["stokes_number"][chosen])
+        # A Stokes number may stand there twice: among these, and among those at every distance.
+        order = np.unique(drift["stokes_number"][chosen], return_index=True)[1]
         logs = [np.log(drift[n][chosen][order]) for n in ("stokes_number", "drift")]
         exponents = np.diff(logs[1]) / np.diff(logs[0])
         made.add(
-            aspect_ratio=k,
-            stokes_number=stokes,
-            lag=stokes / (0.5 * (across + along)),
-            drift=top,
+            **{name: value for name, value in row.items() if name != "table"},
             measured_at=float(drift["stokes_number"][chosen][best]),
             measured=float(drift["drift"][chosen][best]),
             uncertainty=float(drift["uncertainty"][chosen][best]),
-            light=heavy.small_stokes_drift(k),
-            heavy=heavy.large_stokes_drift(k),
             light_exponent=float(exponents[0]),
             heavy_exponent=float(exponents[-1]),
-            rotation_share=top / heavy.drift(k, stokes, "translation") - 1.0,
         )
     return made
 
 
-def maximum(k: float) -> tuple[float, float]:
-    """Stokes number and value of the largest drift over K of the periodic solution."""
+def _maximum(k: float) -> list[dict[str, Any]]:
+    """The largest drift over K of the periodic solution, and its limits."""
     from scipy.optimize import minimize_scalar
 
     scale = np.log(heavy.relaxation_rates(k)[0])
@@ -311,16 +336,48 @@ def maximum(k: float) -> tuple[float, float]:
         method="bounded",
         options={"xatol": 1e-4},
     )
-    return float(np.exp(found.x)), float(-found.fun)
+    stokes, top = float(np.exp(found.x)), float(-found.fun)
+    across, along = heavy.relaxation_rates(k)[:2]
+    return [
+        {
+            "table": "drift_maximum",
+            "aspect_ratio": k,
+            "stokes_number": stokes,
+            "lag": stokes / (0.5 * (across + along)),
+            "drift": top,
+            "light": heavy.small_stokes_drift(k),
+            "heavy": heavy.large_stokes_drift(k),
+            "rotation_share": top / heavy.drift(k, stokes, "translation") - 1.0,
+        }
+    ]
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _curve(k: float, stokes_numbers: Array, parts: Inertia) -> list[dict[str, Any]]:
+    """The drift of the periodic solution."""
+    return [
+        {
+            "table": "drift_curve",
+            "aspect_ratio": k,
+            "stokes_number": stokes,
+            "inertia": parts,
+            "drift": heavy.drift(k, stokes, parts),
+        }
+        for stokes in stokes_numbers.tolist()
+    ]
+
+
+def _drift_figure(made: dict[str, Table]) -> Any:
     """Drift against St, its parts, distance, and the orbits."""
     from qbxstokes.plots import style
 
-    drift, orbits, local = (
-        made[name] for name in ("lateral_drift", "drift_on_orbits", "local_orbit_drift")
+    drift, orbits, curve = (
+        made[name] for name in ("lateral_drift", "drift_on_orbits", "drift_curve")
     )
+
+    def theory(k: float, parts: Inertia) -> tuple[Array, Array]:
+        shown = (curve["aspect_ratio"] == k) & (curve["inertia"] == parts)
+        return curve["stokes_number"][shown], curve["drift"][shown]
+
     figure = style.new_figure(style.PAGE, 5.2)
     panels = figure.subplots(2, 2).ravel()
     far = drift["distance"] == FAR
@@ -330,15 +387,14 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == "both")
         order = np.argsort(drift["stokes_number"][chosen])
         x, y = (drift[name][chosen][order] for name in ("stokes_number", "drift"))
-        fine = np.geomspace(0.1, 1000.0, 40)
-        panels[0].plot(fine, [heavy.drift(k, float(s)) for s in fine], color=color)
+        panels[0].plot(*theory(k, "both"), color=color)
         panels[0].plot(x, y, marker, color=color, label=f"{k:g}",
                        markerfacecolor="white" if k < 1.0 else color)  # fmt: skip
     panels[0].set_xscale("log")
     panels[0].set_yscale("log")
     panels[0].set_xlabel(r"Stokes number $\mathrm{St}$")
     panels[0].set_ylabel(r"drift$\,/\,K c^2$")
-    for k in (k for k in (0.1, 0.5, 5.0) if k in ratios):
+    for k in (k for k in _COMPARED if k in ratios):
         color, _, marker = style.LINES[ratios.index(k) % 7]
         dashes: dict[Inertia, Any] = {"both": "solid", "translation": (0, (4, 1.5))}
         light, last = heavy.small_stokes_drift(k), heavy.large_stokes_drift(k)
@@ -347,8 +403,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
             chosen = far & (drift["aspect_ratio"] == k) & (drift["inertia"] == parts)
             # At the shear rate where the body was: St counts with that rate.
             x = drift["stokes_number"][chosen] * drift["local_rate"][chosen]
-            fine = np.geomspace(np.min(x), np.max(x), 80)
-            exact = np.array([heavy.drift(k, float(s), parts) for s in fine])
+            fine, exact = theory(k, parts)
             panels[1].plot(fine / scale, exact * (1.0 / (light * fine) + fine / last),
                            color=color, linestyle=look)  # fmt: skip
             y = drift["drift"][chosen] * (1.0 / (light * x) + x / last)
@@ -398,8 +453,16 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[3].legend(loc="upper left")
     figure.legend(*panels[0].get_legend_handles_labels(), title="$k$", loc="outside right upper")
     style.letter_panels(list(panels))
-    second = style.new_figure(style.COLUMN, 2.4)
-    axes = second.add_subplot()
+    return figure
+
+
+def _orbit_drift_figure(made: dict[str, Table]) -> Any:
+    """How much the drift of orbits differs from that in shear, over the distance."""
+    from qbxstokes.plots import style
+
+    local = made["local_orbit_drift"]
+    figure = style.new_figure(style.COLUMN, 2.4)
+    axes = figure.add_subplot()
     for index, k in enumerate(sorted(set(local["aspect_ratio"].tolist()))):
         chosen = local["aspect_ratio"] == k
         look = style.line_style(index, markers=True)
@@ -412,7 +475,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     _doubling(axes)
     axes.set_ylabel("relative difference from shear")
     axes.legend()
-    return {"lateral_drift": figure, "local_orbit_drift": second}
+    return figure
 
 
 def _doubling(axes: Any) -> None:
@@ -422,3 +485,6 @@ def _doubling(axes: Any) -> None:
     axes.set_xticks(places, [str(place) for place in places])
     axes.minorticks_off()
     axes.set_xlabel("distance from the axis of the flow ($c$)")
+
+
+FIGURES = {"lateral_drift": _drift_figure, "local_orbit_drift": _orbit_drift_figure}

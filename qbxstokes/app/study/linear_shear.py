@@ -201,7 +201,7 @@ def fill(made: list[Table], rows: list[dict[str, Any]]) -> list[Table]:
     return made
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """Error against aspect ratio and Stokes number, and the turn from tumbling to uniform."""
     from qbxstokes.plots import style
     from qbxstokes.plots.table import draw_curves
@@ -227,8 +227,11 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_ylabel("error of the axis")
     panels[1].set_ylabel("error of the axis")
     style.letter_panels(list(panels))
-    return {"validation": figure}
+    return figure
 
 
 def _listed(spec: dict[str, Any]) -> dict[str, Any]:
     return {**spec, "y": [spec["y"]], "by": [spec["by"]]}
+
+
+FIGURES = {"validation": _figure}

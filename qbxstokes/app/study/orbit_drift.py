@@ -272,7 +272,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
     return fill([rates, exponents, coefficient, history], rows)
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """Rates against St near rolling and tumbling, b(C), and C in time."""
     from qbxstokes.plots import style
 
@@ -332,4 +332,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[3].legend(loc="center right")
     figure.legend(*panels[0].get_legend_handles_labels(), title="$k$", loc="outside right upper")
     style.letter_panels(list(panels))
-    return {"orbit_drift": figure}
+    return figure
+
+
+FIGURES = {"orbit_drift": _figure}

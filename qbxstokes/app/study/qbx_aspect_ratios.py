@@ -166,7 +166,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
     return fill([errors, parameters], rows)
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """Error over the aspect ratio, and set-up time for a tolerance by both schemes."""
     from qbxstokes.plots import style
 
@@ -196,8 +196,11 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[0].set_ylim(1e-15, 1e2)
     panels[1].set_ylim(top=30.0 * np.nanmax(best["time"]))
     style.letter_panels(list(panels))
-    return {"aspect_ratios": figure}
+    return figure
 
 
 def _power(tolerance: float) -> str:
     return f"$10^{{{round(np.log10(tolerance))}}}$"
+
+
+FIGURES = {"aspect_ratios": _figure}

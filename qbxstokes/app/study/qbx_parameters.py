@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,7 @@ def _nodes(k: float, nodes: int) -> list[dict[str, Any]]:
     return rows
 
 
+@lru_cache
 def _exact_density(k: float) -> tuple[Any, Array]:
     """The density of the scene as a polynomial of degree 3, fitted to a resolved solution."""
 
@@ -302,13 +304,13 @@ def _summary(each: Table, names: tuple[str, ...]) -> Table:
     return made
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
-    """Orientations and nodes; the maps; the valley between truncation and quadrature."""
+def _orientations_figure(made: dict[str, Table]) -> Any:
+    """Errors over orientations, and over the nodes of the density."""
     from qbxstokes.plots import style
 
-    each, nodes, parameters = (made[n] for n in ("orientations", "density_nodes", "qbx_map"))
-    first = style.new_figure(style.PAGE, 3.1)
-    panels = first.subplots(1, 3)
+    each, nodes = made["orientations"], made["density_nodes"]
+    figure = style.new_figure(style.PAGE, 3.1)
+    panels = figure.subplots(1, 3)
     schemes = list(dict.fromkeys(each["scheme"].tolist()))
     for panel, k in zip(panels[:2], (0.5, 2.0), strict=True):
         for index, scheme in enumerate(schemes):
@@ -338,11 +340,19 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     panels[2].set_xlabel(r"$n_\vartheta$")
     panels[2].set_ylabel("error of the density")
     panels[2].legend(fontsize=7)
-    first.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncol=6,
-                 handlelength=1.0)  # fmt: skip
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncol=6,
+                  handlelength=1.0)  # fmt: skip
     style.letter_panels(list(panels))
-    valley = style.new_figure(style.PAGE, 2.7)
-    panels = valley.subplots(1, 3, sharey=True)
+    return figure
+
+
+def _valley_figure(made: dict[str, Table]) -> Any:
+    """The valley between truncation and quadrature, a panel per upsampling."""
+    from qbxstokes.plots import style
+
+    parameters = made["qbx_map"]
+    figure = style.new_figure(style.PAGE, 2.7)
+    panels = figure.subplots(1, 3, sharey=True)
     for panel, upsampling in zip(panels, sorted(set(parameters["upsampling"].tolist())),
                                  strict=False):  # fmt: skip
         inside = (parameters["upsampling"] == upsampling) & np.isfinite(parameters["error"])
@@ -364,20 +374,17 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     for text, look in (("truncation", "solid"), ("quadrature", (0, (3, 1.5)))):
         panels[0].plot([], [], color=style.BLACK, linestyle=look, label=text)
     panels[0].plot([], [], "o", color=style.BLACK, markersize=3, label="total")
-    valley.legend(*panels[0].get_legend_handles_labels(), title="$r/h$",
+    figure.legend(*panels[0].get_legend_handles_labels(), title="$r/h$",
                   loc="outside right center")  # fmt: skip
     style.letter_panels(list(panels))
-    return {
-        "orientations": first,
-        "valley": valley,
-        "map": _map_figure(parameters),
-    }
+    return figure
 
 
-def _map_figure(parameters: Table) -> Any:
+def _map_figure(made: dict[str, Table]) -> Any:
     """Error over radius and order, a panel per upsampling, with a line per decade."""
     from qbxstokes.plots import style
 
+    parameters = made["qbx_map"]
     figure = style.new_figure(style.PAGE, 2.5)
     upsamplings = sorted(set(parameters["upsampling"].tolist()))
     panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
@@ -408,3 +415,10 @@ def _map_figure(parameters: Table) -> Any:
     figure.colorbar(mesh, ax=list(panels), label="relative error", pad=0.01)
     style.letter_panels(list(panels))
     return figure
+
+
+FIGURES = {
+    "orientations": _orientations_figure,
+    "valley": _valley_figure,
+    "map": _map_figure,
+}

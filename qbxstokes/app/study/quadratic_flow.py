@@ -199,7 +199,7 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
     return fill([massless, special, sample], rows)
 
 
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """The sample runs: a column each."""
     from qbxstokes.plots import style
 
@@ -245,4 +245,7 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
         row[0].set_title(f"$k={k:g}$, $\\mathrm{{St}}={stokes:g}$", loc="left")
         row[-1].set_xlabel(style.label("time $t$", "tau"))
     figure.align_ylabels(panels[:, 0])
-    return {"sample_run": figure}
+    return figure
+
+
+FIGURES = {"sample_run": _figure}

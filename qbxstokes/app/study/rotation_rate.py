@@ -16,7 +16,7 @@ HALF_TURNS = 4
 
 
 def blocks(full: bool) -> list[dict[str, Any]]:
-    """Groups of Stokes numbers of like cost for every aspect ratio.
+    """Groups of Stokes numbers of like cost for every aspect ratio; then the theory, in parts.
 
     The Stokes numbers are multiples of R/J, so that every body is seen through its transition.
     """
@@ -26,11 +26,30 @@ def blocks(full: bool) -> list[dict[str, Any]]:
     for k in ratios:
         stokes = [float(f"{lag * heavy.relaxation_rates(k)[2]:.4g}") for lag in lags]
         found += [{"k": k, "stokes_numbers": group} for group in simulate.decades(stokes, 10.0)]
-    return found
+    points = 80 if full else 10
+    found += [{"k": k, "curve": [lags[0], lags[-1]], "points": points} for k in ratios]
+    fine = np.geomspace(0.1, 0.9, 9 if full else 2)
+    shown = {*ratios, *fine.tolist(), *(1.0 / fine).tolist()}
+    return found + [{"k": k, "transition": True} for k in sorted(shown)]
 
 
-def compute(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
-    """Mean rate of bodies that tumble in the plane of shear."""
+def compute(
+    k: float,
+    stokes_numbers: list[float] | None = None,
+    curve: list[float] | None = None,
+    points: int = 0,
+    transition: bool = False,
+) -> list[dict[str, Any]]:
+    """Mean rates of bodies that tumble in the plane of shear, or the theory of it."""
+    if stokes_numbers is not None:
+        return _rates(k, stokes_numbers)
+    if curve is not None:
+        return _curve(k, np.geomspace(curve[0], curve[1], points))
+    assert transition
+    return _transition(k)
+
+
+def _rates(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
     tumble = np.tile(simulate.orbit_axes(k, np.inf), (len(stokes_numbers), 1))
     relaxed = simulate.TRANSIENT * max(stokes_numbers) / heavy.relaxation_rates(k)[2]
     found = simulate.measure(
@@ -50,8 +69,22 @@ def compute(k: float, stokes_numbers: list[float]) -> list[dict[str, Any]]:
     ]
 
 
-def transition(k: float) -> float:
-    """Stokes number at which the rate is halfway between k/(1+k^2) and 1/2, from the theory."""
+def _curve(k: float, lags: Any) -> list[dict[str, Any]]:
+    """The rate of the periodic solution at relaxation times St J/R."""
+    return [
+        {
+            "table": "rotation_rate_curve",
+            "aspect_ratio": k,
+            "stokes_number": lag * heavy.relaxation_rates(k)[2],
+            "lag": lag,
+            "rotation_rate": heavy.mean_rotation_rate(k, lag * heavy.relaxation_rates(k)[2]),
+        }
+        for lag in lags.tolist()
+    ]
+
+
+def _transition(k: float) -> list[dict[str, Any]]:
+    """Where the theory's rate is halfway between k/(1+k^2) and 1/2, and its slope there."""
     from scipy.optimize import brentq
 
     middle = 0.5 * (0.5 + k / (1.0 + k * k))
@@ -60,11 +93,22 @@ def transition(k: float) -> float:
     def excess(logarithm: float) -> float:
         return heavy.mean_rotation_rate(k, scale * math.exp(logarithm)) - middle
 
-    return scale * math.exp(float(brentq(excess, math.log(0.5), math.log(2.0), xtol=1e-6)))
+    found = scale * math.exp(float(brentq(excess, math.log(0.5), math.log(2.0), xtol=1e-6)))
+    step = 1e-3 * found
+    high, low = (heavy.mean_rotation_rate(k, found + s) for s in (step, -step))
+    return [
+        {
+            "table": "transition_curve",
+            "aspect_ratio": k,
+            "stokes_number": found,
+            "lag": found / scale,
+            "slope": (high - low) / (2.0 * step),
+        }
+    ]
 
 
 def tables(rows: list[dict[str, Any]]) -> list[Table]:
-    """The rates, and the transition of every aspect ratio."""
+    """The rates, the transition of every aspect ratio, and the theory of both."""
     rates = Table(
         "rotation_rate",
         "Mean rotation rate in the plane of shear",
@@ -79,7 +123,29 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         notes=["Transients and uncertainties as in cases/README.md."],
         plot={"x": "stokes_number", "y": "rotation_rate", "by": "aspect_ratio"},
     )
-    fill([rates], rows)
+    curve = Table(
+        "rotation_rate_curve",
+        "Mean rotation rate in the plane of shear by the periodic solution",
+        (
+            Column("aspect_ratio", "", "equatorial over polar radius", "g", "k"),
+            Column("stokes_number", "", "Stokes number", ".4g", "St"),
+            Column("lag", "", "relaxation time St J/R of the rotation", ".3g", "St J/R"),
+            Column("rotation_rate", "shear rate", "of the periodic solution", ".8f"),
+        ),
+        plot={"x": "stokes_number", "y": "rotation_rate", "by": "aspect_ratio"},
+    )
+    halfway = Table(
+        "transition_curve",
+        "Transition from tumbling to uniform rotation by the periodic solution",
+        (
+            Column("aspect_ratio", "", "equatorial over polar radius", ".4g", "k"),
+            Column("stokes_number", "", "St at the rate halfway to 1/2", ".4g", "St"),
+            Column("lag", "", "St J/R there", ".4f", "St J/R"),
+            Column("slope", "shear rate", "of the rate over St there", ".4e"),
+        ),
+        plot={"x": "aspect_ratio", "y": "stokes_number", "scale": "loglog"},
+    )
+    fill([rates, curve, halfway], rows)
     summary = Table(
         "transition",
         "Transition from tumbling to uniform rotation",
@@ -102,21 +168,18 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
         ],
         plot={"x": "aspect_ratio", "y": "transition", "scale": "loglog"},
     )
-    for k in sorted(set(rates["aspect_ratio"].tolist())):
-        chosen = rates["aspect_ratio"] == k
+    for k, exact, exact_lag, slope in zip(*(halfway[name] for name in halfway.names), strict=True):
+        chosen = (rates["aspect_ratio"] == k) & np.isfinite(rates["rotation_rate"])
+        if not chosen.any():
+            continue
         order = np.argsort(rates["stokes_number"][chosen])
-        stokes, rate, lag, error = (
+        stokes, rate, lag, error, theory = (
             rates[name][chosen][order]
-            for name in ("stokes_number", "rotation_rate", "lag", "uncertainty")
+            for name in ("stokes_number", "rotation_rate", "lag", "uncertainty", "theory")
         )
-        known = np.isfinite(rate)
-        stokes, rate, lag, error = stokes[known], rate[known], lag[known], error[known]
         free = k / (1.0 + k * k)
-        exact = transition(k)
         # Corrected by the theory, the measured points give the transition without interpolation
         # error: where they stand apart from the theory, so does the transition.
-        theory = np.array([heavy.mean_rotation_rate(k, s) for s in stokes])
-        slope = _slope(k, exact)
         apart = float(np.interp(np.log(exact), np.log(stokes), rate - theory))
         summary.add(
             aspect_ratio=k,
@@ -124,33 +187,27 @@ def tables(rows: list[dict[str, Any]]) -> list[Table]:
             transition=exact - apart / slope,
             uncertainty=float(np.interp(np.log(exact), np.log(stokes), error)) / slope,
             theory=exact,
-            lag=exact / heavy.relaxation_rates(k)[2],
+            lag=exact_lag,
             light=(rate[0] / free - 1.0) / lag[0] ** 2,
             light_limit=heavy.light_rate_coefficient(k),
             heavy=(0.5 - rate[-1]) * lag[-1] ** 2 / heavy.shape(k) ** 2,
         )
-    return [rates, summary]
+    return [rates, summary, curve, halfway]
 
 
-def _slope(k: float, stokes: float) -> float:
-    step = 1e-3 * stokes
-    high, low = (heavy.mean_rotation_rate(k, stokes + s) for s in (step, -step))
-    return (high - low) / (2.0 * step)
-
-
-def figures(made: dict[str, Table]) -> dict[str, Any]:
+def _figure(made: dict[str, Table]) -> Any:
     """Rate against St, the collapse over St J/R, and the transition against k."""
     from qbxstokes.plots import style
 
-    rates, summary = made["rotation_rate"], made["transition"]
+    rates, curve = made["rotation_rate"], made["rotation_rate_curve"]
     figure = style.new_figure(style.PAGE, 2.5)
     panels = figure.subplots(1, 3)
     for index, k in enumerate(sorted(set(rates["aspect_ratio"].tolist()))):
         color, _, marker = style.LINES[index % 7]
         chosen = rates["aspect_ratio"] == k
         x, y = (rates[name][chosen] for name in ("stokes_number", "rotation_rate"))
-        fine = np.geomspace(np.min(x), np.max(x), 80)
-        exact = np.array([heavy.mean_rotation_rate(k, s) for s in fine])
+        shown = curve["aspect_ratio"] == k
+        fine, exact = (curve[name][shown] for name in ("stokes_number", "rotation_rate"))
         free, scale = k / (1.0 + k * k), heavy.relaxation_rates(k)[2]
         dashes = "solid" if k < 1.0 else (0, (4, 1.5))
         face = "white" if k < 1.0 else color
@@ -168,13 +225,18 @@ def figures(made: dict[str, Table]) -> dict[str, Any]:
     for panel in panels[:2]:
         panel.set_xscale("log")
     figure.legend(*panels[0].get_legend_handles_labels(), title="$k$", loc="outside right center")
-    k = summary["aspect_ratio"]
-    panels[2].loglog(k, summary["transition"], "o", label="runs", color=style.BLUE)
-    fine = np.concatenate([np.geomspace(0.1, 0.9, 9), [np.nan], np.geomspace(1.1, 10.0, 9)])
-    exact = np.array([transition(float(v)) if np.isfinite(v) else np.nan for v in fine])
-    panels[2].loglog(fine, exact, color=style.GREY, label="periodic solution", zorder=0)
+    summary, halfway = made["transition"], made["transition_curve"]
+    panels[2].loglog(summary["aspect_ratio"], summary["transition"], "o", label="runs",
+                     color=style.BLUE)  # fmt: skip
+    for side, label in ((halfway["aspect_ratio"] < 1.0, "periodic solution"),
+                        (halfway["aspect_ratio"] > 1.0, None)):  # fmt: skip
+        panels[2].loglog(halfway["aspect_ratio"][side], halfway["stokes_number"][side],
+                         color=style.GREY, label=label, zorder=0)  # fmt: skip
     panels[2].set_xlabel("aspect ratio $k$")
     panels[2].set_ylabel(r"$\mathrm{St}$ at the transition")
     panels[2].legend(handlelength=1.2)
     style.letter_panels(list(panels))
-    return {"rotation_rate": figure}
+    return figure
+
+
+FIGURES = {"rotation_rate": _figure}

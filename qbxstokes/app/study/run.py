@@ -1,4 +1,4 @@
-"""Carry out studies: blocks on all ranks, tables and figures on rank 0; goes on when stopped."""
+"""Carry out studies: blocks and figures on all ranks, tables on rank 0; goes on when stopped."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from signal import SIGINT
 from typing import Any
 
 from qbxstokes import __version__
 from qbxstokes.app import handout
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.handout import HandOut
-from qbxstokes.app.parallel import on_root
+from qbxstokes.app.interrupt import Interruption, interrupted
+from qbxstokes.app.parallel import agree, on_root
 from qbxstokes.app.progress import Progress
 from qbxstokes.app.report import WIDTH, duration, headline, render
 from qbxstokes.app.tabulate import (
@@ -37,6 +40,7 @@ from qbxstokes.io.tables import Table
 Block = tuple[str, dict[str, Any]]  # study, parameters
 _HEAD = "study.json"
 _RESOLUTION, _COLOURS = 200.0, 64  # of the pictures for the web: sharp, and below 150 kB
+_KINDS = ("pdf", "png")  # for papers, and for pages on the web
 _LONGEST = 120  # rows of a table that is printed as well as stored
 
 
@@ -72,13 +76,25 @@ def run_studies(
 
     _, record = start_petsc(comm, loaded, petsc, clock)
     folder = on_root(comm, lambda: _folder(loaded, plan, blocks, options))
-    errors = _compute(comm, plan, blocks, folder, options, clock)
+    files: dict[str, list[str]] = {}
+    try:
+        with Interruption(patient=comm.rank != 0):
+            errors = _compute(comm, plan, blocks, folder, options, clock)
+            made = on_root(comm, lambda: _tables(plan, blocks, folder))
+            if speak:
+                _print(made, loaded)
+            if loaded.case.study.figures:
+                files = _draw(comm, plan, made, clock)
 
-    def finish() -> list[str]:
-        return _finish(loaded, plan, blocks, folder, errors, options, record, clock)
+            def store() -> list[str]:
+                return _store(loaded, plan, made, errors, files, options, record, clock)
 
-    failures = on_root(comm, finish)
+            failures = on_root(comm, store)
+    except KeyboardInterrupt:
+        raise interrupted(folder, SIGINT) from None
     if comm.rank == 0:
+        if all(_part(folder, number).exists() for number in range(len(blocks))):
+            shutil.rmtree(folder, ignore_errors=True)
         for failure in failures:
             print(f"qbxstokes: {failure}", file=sys.stderr)
     return ConvergenceError.exit_status if failures else 0
@@ -141,6 +157,7 @@ def _compute(
 ) -> list[str]:
     """Compute what is not there yet; returns the failures of all ranks."""
     todo = on_root(comm, lambda: [n for n in range(len(blocks)) if not _part(folder, n).exists()])
+    todo.reverse()  # the dear ones stand late: done first, they leave no rank alone at the end
     counters = HandOut(comm)
     progress = None
     if comm.rank == 0 and not options.quiet:
@@ -177,66 +194,110 @@ def _compute(
 # -- tables and figures ---------------------------------------------------------------------------
 
 
-def _finish(
-    loaded: LoadedCase,
-    plan: TablesPlan,
-    blocks: list[Block],
-    folder: Path,
-    failures: list[str],
-    options: argparse.Namespace,
-    record: dict[str, Any],
-    clock: Clock,
-) -> list[str]:
-    """On rank 0: everything that is made of the rows. Failed blocks leave the folder for later."""
-    section = loaded.case.study
-    speak = not (options.quiet or options.json)
-    replace = options.overwrite or loaded.case.output.overwrite
+@dataclass
+class _Made:
+    """Tables of one study, with the time that its blocks took."""
+
+    name: str
+    tables: list[Table]
+    seconds: float
+
+
+def _tables(plan: TablesPlan, blocks: list[Block], folder: Path) -> list[_Made]:
+    """The tables of all studies, of the blocks that there are."""
     parts = [
         json.loads(path.read_text())
         for path in (_part(folder, number) for number in range(len(blocks)))
         if path.exists()
     ]
-    if speak:
-        print(headline(loaded.case.title or "Studies", str(loaded.path)))
+    made = []
+    for name, module in plan.makers.items():
+        chosen = [part for part in parts if part["study"] == name]
+        rows = [row for part in chosen for row in part["rows"]]
+        tables: list[Table] = import_module(module).tables(rows)
+        made.append(_Made(name, tables, sum(part["seconds"] for part in chosen)))
+    return made
+
+
+def _print(made: Sequence[_Made], loaded: LoadedCase) -> None:
+    print(headline(loaded.case.title or "Studies", str(loaded.path)))
+    for table in (table for study in made for table in study.tables):
+        if len(table) <= _LONGEST:
+            print(f"\n{table.to_text(WIDTH)}", flush=True)
+        else:
+            print(f"\n{table.title}\n{len(table)} rows, in the result", flush=True)
+
+
+def _draw(comm: Any, plan: TablesPlan, made: Sequence[_Made], clock: Clock) -> dict[str, list[str]]:
+    """Draw every figure on whichever rank is free; the files of each study, on every rank."""
+    from qbxstokes.plots import style
+
+    tasks = []
+    files: dict[str, list[str]] = {}
+    for study in made:
+        for name, draw in import_module(plan.makers[study.name]).FIGURES.items():
+            stem = f"{plan.output.stem}_{name}"
+            targets = [plan.output.with_name(f"{stem}.{kind}") for kind in _KINDS]
+            files.setdefault(study.name, []).extend(map(str, targets))
+            tasks.append((draw, study.tables, targets))
+    failure: QbxStokesError | None = None
+    counters = HandOut(comm)
+    with clock.part("figures"):
+        while failure is None and (number := counters.next(handout.BLOCKS)) < len(tasks):
+            draw, tables, targets = tasks[number]
+            try:
+                with style.styled():
+                    figure = draw({table.name: table for table in tables})
+                    style.lay_out(figure)
+                    for target in targets:
+                        style.save(figure, target, _RESOLUTION, _COLOURS)
+            except QbxStokesError as error:
+                failure = error
+                counters.add(handout.BLOCKS, len(tasks))
+    with clock.part("waiting"):
+        counters.wait()
+    counters.close()
+    agree(comm, failure)
+    return files
+
+
+def _store(
+    loaded: LoadedCase,
+    plan: TablesPlan,
+    made: Sequence[_Made],
+    failures: list[str],
+    figures: dict[str, list[str]],
+    options: argparse.Namespace,
+    record: dict[str, Any],
+    clock: Clock,
+) -> list[str]:
+    """On rank 0: the result, the CSV files and the last words; returns all failures."""
+    replace = options.overwrite or loaded.case.output.overwrite
     files: list[str] = []
-    made: list[Table] = []
     with ResultWriter(plan.output, "study", record, replace) as writer:
-        for name, module in plan.makers.items():
-            study = import_module(module)
-            chosen = [part for part in parts if part["study"] == name]
-            spent = sum(part["seconds"] for part in chosen)
-            rows = [row for part in chosen for row in part["rows"]]
-            tables: list[Table] = study.tables(rows)
-            for table in tables:
+        for study in made:
+            for table in study.tables:
                 table.provenance = {
                     **made_by(record, loaded),
-                    "cost of the blocks": f"{spent:.3g} s on one core",
+                    "cost of the blocks": f"{study.seconds:.3g} s on one core",
                 }
                 table.write_hdf5(writer.file)
-                if section.csv:
+                if loaded.case.study.csv:
                     stem = plan.output.with_name(f"{plan.output.stem}_{table.name}.csv")
                     files.append(str(table.write_csv(stem)))
                 failures = failures + [f"study {reason}" for reason in failed_rows(table)]
-                if speak and len(table) <= _LONGEST:
-                    print(f"\n{table.to_text(WIDTH)}", flush=True)
-                elif speak:
-                    print(f"\n{table.title}\n{len(table)} rows, in the result", flush=True)
-            made += tables
-            if section.figures:
-                files += _draw(study, {table.name: table for table in tables}, plan.output)
+            files += figures.get(study.name, [])
         summary: dict[str, Any] = {
-            "tables": [table.name for table in made],
+            "tables": [table.name for study in made for table in study.tables],
             "failures": failures,
             "files": files,
             "wall_times": {**clock.parts, "total": clock.total},
         }
         result = writer.finish(summary)
-    if all(_part(folder, number).exists() for number in range(len(blocks))):
-        shutil.rmtree(folder, ignore_errors=True)
     if options.json:
-        facts = {**summary, "result": str(result), "tables": [json_table(t) for t in made]}
-        print(json.dumps(facts, indent=2))
-    elif speak:
+        tables = [json_table(table) for study in made for table in study.tables]
+        print(json.dumps({**summary, "result": str(result), "tables": tables}, indent=2))
+    elif not options.quiet:
         times = ", ".join(
             f"{name} {duration(value)}" for name, value in summary["wall_times"].items()
         )
@@ -246,15 +307,3 @@ def _finish(
         }
         print(f"\n{render('Done' if not failures else 'Done, with failures', '', blocks_text)}")
     return failures
-
-
-def _draw(study: Any, tables: dict[str, Table], output: Path) -> list[str]:
-    from qbxstokes.plots import style
-
-    files = []
-    with style.styled():
-        for name, figure in study.figures(tables).items():
-            for kind in ("pdf", "png"):  # for papers, and for pages on the web
-                target = output.with_name(f"{output.stem}_{name}.{kind}")
-                files.append(str(style.save(figure, target, _RESOLUTION, _COLOURS)))
-    return files
