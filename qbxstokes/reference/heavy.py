@@ -225,7 +225,8 @@ def tumbling(k: float, stokes_number: float) -> Tumbling:
     step = min(lag, 0.1 * k if k < 1.0 else 0.1 / k)
     while reached < lag:
         trial = min(lag, reached + step)
-        found = _newton(speed, free, derivative, trial)
+        # On the way there a start for the next step is enough.
+        found = _newton(speed, free, derivative, trial, 1e-13 if trial == lag else 1e-3)
         if found is None:
             step *= 0.5
             continue
@@ -251,7 +252,9 @@ def _derivative(n: int) -> Array:
     return np.asarray(matrix)
 
 
-def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array | None:
+def _newton(
+    start: Array, free: Array, derivative: Array, lag: float, enough: float = 1e-13
+) -> Array | None:
     p, before = start.copy(), np.inf
     for _ in range(30):
         slope = derivative @ p
@@ -263,7 +266,7 @@ def _newton(start: Array, free: Array, derivative: Array, lag: float) -> Array |
             return None
         size = float(np.max(np.abs(change)))
         # For a large lag rounding keeps the changes above any fixed bound: there they stagnate.
-        if size < 1e-13 or (size < 1e-8 and size > 0.1 * before):
+        if size < enough or (size < 1e-8 and size > 0.1 * before):
             return np.asarray(p)
         before = size
     return None

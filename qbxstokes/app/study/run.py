@@ -80,7 +80,8 @@ def run_studies(
     try:
         with Interruption(patient=comm.rank != 0):
             errors = _compute(comm, plan, blocks, folder, options, clock)
-            made = on_root(comm, lambda: _tables(plan, blocks, folder))
+            with clock.part("tables"):
+                made = on_root(comm, lambda: _tables(plan, blocks, folder))
             if speak:
                 _print(made, loaded)
             if loaded.case.study.figures:
