@@ -10,13 +10,17 @@ from qbxstokes.flows import (
     Linear,
     Paraboloid,
     PolynomialFlow,
+    Rotlet,
     Shear,
     Stokeslet,
+    Stresslet,
     SumFlow,
     TransformedFlow,
+    Uniform,
     UserFlow,
     add_flows,
     build_flow,
+    check_regular,
     check_singularities,
     check_stokesian,
     clearance,
@@ -25,6 +29,7 @@ from qbxstokes.flows import (
 from qbxstokes.flows.base import rotation_matrix
 from qbxstokes.flows.differences import gradient_of, laplacian_of
 from qbxstokes.flows.polynomial import parse_monomial
+from qbxstokes.geometry import rotation
 
 CUBIC = {
     "type": "polynomial",
@@ -283,6 +288,38 @@ def test_singularity_in_or_near_the_body_is_refused():
         check_singularities(flow, [0.0] * 3, axis, 0.5, minimum=0.6)
     with pytest.raises(FlowError, match="inside the body"):
         check_singularities(flow, [[9.0] * 3, [0.0, 0.1, 0.7]], [axis, axis], 0.5)
+
+
+@pytest.mark.parametrize("k", [0.05, 0.5, 1.0, 1.1, 4.0])
+def test_singular_points_that_nobody_declares_are_found_inside_the_body(k):
+    rng = np.random.default_rng(3)
+    strain = np.diag([1.0, -2.0, 1.0])
+    for kind in (Stokeslet, Rotlet, Stresslet):
+        axis, centre = rotation.random_axes(1, rng)[0], rng.standard_normal(3)
+        across = np.cross(axis, [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        strength = 0.01 * (strain if kind is Stresslet else rng.standard_normal(3))
+
+        def flow(place, kind=kind, strength=strength):
+            hidden = kind(strength, place)
+            return Shear() + UserFlow(lambda x: hidden.velocity(x))
+
+        # Halfway to the tip or to the rim, a third of the shorter semi-axis off the focal set.
+        aside, along = (k / 3.0, 0.5) if k <= 1.0 else (0.5 * k, 0.3)
+        inside = centre + aside * across + along * axis
+        assert not flow(inside).singular_points_known
+        with pytest.raises(FlowError, match="singular inside the body"):
+            check_regular(flow(inside), centre, axis, k)
+        for factor in (1.02, 1.2):
+            check_regular(flow(centre + factor * k * across), centre, axis, k)
+            check_regular(flow(centre + factor * axis), centre, axis, k)
+
+
+def test_regular_flows_pass_whatever_their_size():
+    for flow in (Shear(), 1e-9 * Shear(), Uniform([1e6, 0.0, 0.0]) + Shear()):
+        hidden = UserFlow(flow.velocity)
+        for k in (0.02, 1.0, 20.0):
+            check_regular(hidden, [1.0, 20.0, 3.0], [0.6, 0.0, 0.8], k)
 
 
 # -- user functions ---------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.config.load import LoadedCase
 from qbxstokes.config.schema import Case
 from qbxstokes.errors import CaseError, FlowError
-from qbxstokes.flows.check import check_singularities, check_stokesian
+from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, free_name
 from qbxstokes.motion.averages import ShearFrame
@@ -163,6 +163,8 @@ def check_flow(loaded: LoadedCase, position: Array, quaternion: Array) -> None:
         ) from None
     try:
         check_stokesian(loaded.flow, position, radius=2.0 * max(1.0, k))
+        if not loaded.flow.singular_points_known:
+            check_regular(loaded.flow, position, rotation.axis(quaternion), k)
     except FlowError as error:
         raise loaded.error(("flow", *error.key), str(error)) from None
 

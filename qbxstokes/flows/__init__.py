@@ -3,6 +3,7 @@
 from qbxstokes.flows.base import Flow
 from qbxstokes.flows.check import (
     StokesianReport,
+    check_regular,
     check_singularities,
     check_stokesian,
     clearance,
@@ -44,6 +45,7 @@ __all__ = [
     "UserFlow",
     "add_flows",
     "build_flow",
+    "check_regular",
     "check_singularities",
     "check_stokesian",
     "clearance",

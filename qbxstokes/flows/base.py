@@ -99,6 +99,11 @@ class Flow(ABC):
         """Points where the flow is singular, shape (n, 3)."""
         return np.empty((0, 3))
 
+    @property
+    def singular_points_known(self) -> bool:
+        """Whether the flow is singular nowhere but at `singular_points`, for certain."""
+        return True
+
     @abstractmethod
     def spec(self) -> dict[str, Any]:
         """Plain dictionary from which `qbxstokes.flows.build_flow` rebuilds the flow."""

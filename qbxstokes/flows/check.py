@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,13 @@ from qbxstokes.flows.base import Array, Flow
 # Least velocity gradient that residuals are compared with, in |u|/radius: the derivatives of a
 # user's function are differences and carry the rounding of the velocity.
 _LEAST_GRADIENT = 1e-3
+# Part of the variation over a sphere by which its mean may miss that of a regular flow.
+_IRREGULAR = 1e-5
+# Radii of the spheres about one centre, over that of the largest.
+_PARTS = (1.0, 0.75, 0.5, 0.25)
+# Balls in which a disc is searched for singular points, and those that are computed together.
+_MOST = 500
+_AT_ONCE = 100
 
 
 @dataclass(frozen=True)
@@ -95,6 +103,97 @@ def _points_in_ball(flow: Flow, centre: Array, radius: float, seed: int, count: 
         clear = separation > 0.25 * radius
         points = points[clear] if clear.sum() >= count else points[np.argsort(-separation)]
     return points[:count]
+
+
+def check_regular(
+    flow: Flow, centre: ArrayLike, axis: ArrayLike, aspect_ratio: float, t: float = 0.0
+) -> None:
+    """Refuse a flow that is singular inside the body, whether or not it says so.
+
+    centre, axis (3,). Where a Stokes flow is regular, its mean over a sphere of radius r is
+    u + r^2 Lap u/6 with the values of the centre (Pizzetti 1909, Rend. Lincei 18, 182, for
+    biharmonic functions), so that (mean - u)/r^2 is the same for all spheres about one centre.
+    Spheres along the focal segment or over the focal disc fill the body but for a tenth at its
+    surface, where the surface grid itself sees what is too near. A second quadrature bounds the
+    error of the first, as that from a singular point outside. A disc of k > 5 is searched in part.
+    Raises FlowError with the place.
+    """
+    middle, along = np.asarray(centre, dtype=float), np.asarray(axis, dtype=float)
+    centres, radii = _balls(float(aspect_ratio))
+    first = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
+    first /= np.linalg.norm(first)
+    centres = middle + centres @ np.stack([first, np.cross(along, first), along])
+    for start in range(0, len(radii), _AT_ONCE):
+        balls = slice(start, start + _AT_ONCE)
+        excess = _irregularity(flow, centres[balls], radii[balls], t)
+        if np.any(excess > 1.0):  # what is not finite is left to the checks that say so
+            worst = start + int(np.nanargmax(excess))
+            raise FlowError(
+                f"the flow is singular inside the body, within {radii[worst]:.3g} of "
+                f"{_text(centres[worst])}: its means over spheres there are not those of a Stokes "
+                "flow"
+            )
+
+
+def _irregularity(flow: Flow, centres: Array, radii: Array, t: float) -> Array:
+    """Largest difference of (mean - u)/r^2 between two spheres over what it may be, (n,)."""
+    with np.errstate(all="ignore"):
+        values = flow.velocity(centres, t)[:, None, :]
+        terms, errors = [], []
+        for part in _PARTS:
+            spheres = centres[:, None, :] + part * radii[:, None, None] * _sphere(8)[0]
+            moved = flow.velocity(spheres, t) - values
+            coarse = centres[:, None, :] + part * radii[:, None, None] * _sphere(6)[0]
+            moved_coarse = flow.velocity(coarse, t) - values
+            fine = np.einsum("bni,n->bi", moved, _sphere(8)[1])
+            rough = np.einsum("bni,n->bi", moved_coarse, _sphere(6)[1])
+            size = np.abs(moved).max(axis=(1, 2))
+            noise = 1e-13 * np.abs(values).max(axis=(1, 2))
+            terms.append(fine / part**2)
+            # Ten times the difference of two rules, for they may err alike.
+            allowed = 10.0 * np.abs(fine - rough).max(axis=1) + _IRREGULAR * size + noise
+            errors.append(allowed / part**2)
+        pairs = [(i, j) for i in range(len(_PARTS)) for j in range(i)]
+        apart = [np.abs(terms[i] - terms[j]).max(axis=1) for i, j in pairs]
+        allowed_apart = [errors[i] + errors[j] for i, j in pairs]
+        return np.asarray(np.max(np.divide(apart, allowed_apart), axis=0))
+
+
+def _balls(k: float) -> tuple[Array, Array]:
+    """Centres (n, 3) and radii (n,) of balls in the body, its axis the third; neighbours overlap.
+
+    A disc of more than `_MOST` of them is searched at as many places, spread at random.
+    """
+    rings, place = [], 0.0
+    while True:
+        point = [0.0, 0.0, place] if k <= 1.0 else [place, 0.0, 0.0]
+        radius = -0.9 * float(clearance([point], [0.0] * 3, [0.0, 0.0, 1.0], k)[0])
+        if radius < 0.2 * min(k, 1.0):
+            break
+        rings.append((place, radius))
+        place += 0.6 * radius
+    if k <= 1.0:
+        z = np.array([sign * place for place, _ in rings for sign in (1.0, -1.0)])
+        return np.stack([0.0 * z, 0.0 * z, z], axis=-1), np.repeat([r for _, r in rings], 2)
+    angles = [
+        2.0 * np.pi * np.arange(count) / count
+        for count in (max(1, int(np.ceil(2.0 * np.pi * place / (0.6 * r)))) for place, r in rings)
+    ]
+    counts = [len(angle) for angle in angles]
+    phi, rho = np.concatenate(angles), np.repeat([place for place, _ in rings], counts)
+    centres = np.stack([rho * np.cos(phi), rho * np.sin(phi), 0.0 * rho], axis=-1)
+    chosen = np.random.default_rng(0).permutation(len(rho))[:_MOST]
+    return centres[chosen], np.repeat([r for _, r in rings], counts)[chosen]
+
+
+@cache
+def _sphere(n: int) -> tuple[Array, Array]:
+    """Nodes (2 n^2, 3) and weights of the mean over the unit sphere, exact to degree 2 n - 1."""
+    z, weights = np.polynomial.legendre.leggauss(n)
+    phi = np.pi * (np.arange(2 * n) + 0.5) / n
+    s = np.sqrt(1.0 - z * z)[:, None]
+    nodes = np.stack(np.broadcast_arrays(s * np.cos(phi), s * np.sin(phi), z[:, None]), axis=-1)
+    return nodes.reshape(-1, 3), np.repeat(weights, 2 * n) / (4.0 * n)
 
 
 def _text(point: Array) -> str:

@@ -108,6 +108,11 @@ class SumFlow(Flow):
         """Singular points of all terms (n, 3)."""
         return np.concatenate([flow.singular_points for flow in self.terms])
 
+    @property
+    def singular_points_known(self) -> bool:
+        """Whether all terms' are."""
+        return all(flow.singular_points_known for flow in self.terms)
+
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""
         return {"type": self.type_name, "terms": [flow.spec() for flow in self.terms]}
@@ -209,6 +214,11 @@ class TransformedFlow(Flow):
         """Singular points (n, 3), moved with the flow."""
         result: Array = self.flow.singular_points @ self.rotation.T + self.position
         return result
+
+    @property
+    def singular_points_known(self) -> bool:
+        """Whether the flow's are."""
+        return self.flow.singular_points_known
 
     def spec(self) -> dict[str, Any]:
         """Specification that moves, turns and scales that of the flow."""

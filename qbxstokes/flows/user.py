@@ -126,6 +126,11 @@ class UserFlow(Flow):
         """Singular points as declared, (n, 3)."""
         return self._singular_points
 
+    @property
+    def singular_points_known(self) -> bool:
+        """False: a function cannot be looked into."""
+        return False
+
     def spec(self) -> dict[str, Any]:
         """Specification; `function` names a file only if it was given so."""
         return {
