@@ -163,10 +163,14 @@ def check_flow(loaded: LoadedCase, position: Array, quaternion: Array) -> None:
         ) from None
     try:
         check_stokesian(loaded.flow, position, radius=2.0 * max(1.0, k))
-        if not loaded.flow.singular_points_known:
-            check_regular(loaded.flow, position, rotation.axis(quaternion), k)
     except FlowError as error:
         raise loaded.error(("flow", *error.key), str(error)) from None
+    if loaded.flow.singular_points_known:
+        return
+    try:
+        check_regular(loaded.flow, position, rotation.axis(quaternion), k)
+    except FlowError as error:
+        raise loaded.error("flow", str(error), "a start.position away from there") from None
 
 
 def rotation_period(gradient: Array, aspect_ratio: float) -> float | None:
