@@ -21,6 +21,7 @@ from qbxstokes.app.report import (
     error_text,
     field_errors,
     render,
+    tell_plan,
     vector,
 )
 from qbxstokes.app.summary import flow_text, shape_text
@@ -37,13 +38,11 @@ def run_field_case(
     clock: Clock,
 ) -> int:
     """Compute, write and tell; returns the exit status."""
-    speak = comm.rank == 0 and not (options.quiet or options.json)
-    if speak and (options.explain or options.dry_run):
-        print(explain_field(loaded, plan))
-    if options.dry_run:
-        if comm.rank == 0 and options.json:
-            facts = {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
-            print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
+
+    def facts() -> dict[str, Any]:
+        return {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
+
+    if tell_plan(comm, loaded, options, lambda: explain_field(loaded, plan), facts):
         return 0
     from qbxstokes.app.provenance import start_petsc
     from qbxstokes.petsc import session
@@ -59,7 +58,7 @@ def run_field_case(
             from qbxstokes.app.report import plain
 
             print(json.dumps(plain(summary), indent=2))
-        elif speak:
+        elif not options.quiet:
             print(field_summary(loaded, summary))
         for name in unused:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)

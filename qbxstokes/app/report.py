@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qbxstokes.io.results import Result
+
+if TYPE_CHECKING:
+    import argparse
+
+    from qbxstokes.config.load import LoadedCase
 
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider
@@ -17,6 +22,22 @@ _WIDEST = 44
 _ROUNDING = 1e-13  # components below this share of the largest are rounding
 
 Rows = Iterable[tuple[str, str]]
+
+
+def tell_plan(
+    comm: Any,
+    loaded: LoadedCase,
+    options: argparse.Namespace,
+    text: Callable[[], str],
+    facts: Callable[[], dict[str, Any]],
+) -> bool:
+    """Print the plan, on rank 0 and where it is asked for; True if no more is (`--dry-run`)."""
+    if comm.rank == 0:
+        if not (options.quiet or options.json) and (options.explain or options.dry_run):
+            print(text())
+        elif options.json and options.dry_run:
+            print(json.dumps({"case": str(loaded.path), "plan": facts()}, indent=2))
+    return bool(options.dry_run)
 
 
 def headline(title: str, name: str) -> str:

@@ -46,6 +46,7 @@ def compute_case(
 ) -> int:
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
+        from qbxstokes.app.report import tell_plan
         from qbxstokes.app.summary import explain, plan_facts, summary_text
         from qbxstokes.app.tasks import plan_of
         from qbxstokes.config.load import from_document
@@ -74,11 +75,7 @@ def compute_case(
         from qbxstokes.app.batch import sweep_command
 
         return sweep_command(comm, loaded, options, petsc, clock)
-    if speak and (options.explain or options.dry_run):
-        print(explain(loaded, plan))
-    if options.dry_run:
-        if comm.rank == 0 and options.json:
-            print(json.dumps({"case": str(path), "plan": plan_facts(plan)}, indent=2))
+    if tell_plan(comm, loaded, options, lambda: explain(loaded, plan), lambda: plan_facts(plan)):
         return 0
     with clock.part("import"):
         from qbxstokes.app.provenance import start_petsc

@@ -22,7 +22,7 @@ from typing import Any
 from qbxstokes.app.clock import Clock
 from qbxstokes.app.parallel import on_root
 from qbxstokes.app.plan import result_path
-from qbxstokes.app.report import WIDTH, Rows, block, duration, headline, render
+from qbxstokes.app.report import WIDTH, Rows, block, duration, headline, render, tell_plan
 from qbxstokes.config.load import LoadedCase, nearest
 from qbxstokes.config.tabulate import Tables
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
@@ -96,13 +96,11 @@ def run_tables(
     clock: Clock,
 ) -> int:
     """Make the tables on rank 0, print and store them; returns the exit status."""
-    speak = comm.rank == 0 and not (options.quiet or options.json)
-    if speak and (options.explain or options.dry_run):
-        print(explain_tables(loaded, plan))
-    if options.dry_run:
-        if comm.rank == 0 and options.json:
-            facts = {"tables": list(plan.makers), "output": str(plan.output)}
-            print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
+
+    def facts() -> dict[str, Any]:
+        return {"tables": list(plan.makers), "output": str(plan.output)}
+
+    if tell_plan(comm, loaded, options, lambda: explain_tables(loaded, plan), facts):
         return 0
     from qbxstokes.app.provenance import start_petsc
 

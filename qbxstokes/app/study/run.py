@@ -23,7 +23,7 @@ from qbxstokes.app.handout import HandOut
 from qbxstokes.app.interrupt import Interruption, interrupted
 from qbxstokes.app.parallel import agree, on_root
 from qbxstokes.app.progress import Progress
-from qbxstokes.app.report import WIDTH, duration, headline, render
+from qbxstokes.app.report import WIDTH, duration, headline, render, tell_plan
 from qbxstokes.app.tabulate import (
     TablesPlan,
     explain_tables,
@@ -60,17 +60,14 @@ def run_studies(
         for name, module in plan.makers.items()
         for parameters in import_module(module).blocks(full)
     ]
-    if speak and (options.explain or options.dry_run):
-        print(explain_tables(loaded, plan))
-        print(f"  {len(blocks)} blocks")
-    if options.dry_run:
-        if comm.rank == 0 and options.json:
-            facts = {
-                "tables": list(plan.makers),
-                "blocks": len(blocks),
-                "output": str(plan.output),
-            }
-            print(json.dumps({"case": str(loaded.path), "plan": facts}, indent=2))
+
+    def text() -> str:
+        return f"{explain_tables(loaded, plan)}\n  {len(blocks)} blocks"
+
+    def facts() -> dict[str, Any]:
+        return {"tables": list(plan.makers), "blocks": len(blocks), "output": str(plan.output)}
+
+    if tell_plan(comm, loaded, options, text, facts):
         return 0
     from qbxstokes.app.provenance import start_petsc
 
