@@ -223,7 +223,8 @@ def _figure(made: dict[str, Table]) -> Any:
     panels[2].set_xlabel(r"angle from the stream$\,/\,\pi$")
     panels[2].set_ylabel(r"angular speed$\,/\,$shear rate")
     panels[2].set_xlim(-1.0, 0.0)
-    style.legend_above(panels[2], columns=2)
+    for panel in panels:
+        style.legend_above(panel, columns=2, handle=2.0)  # leaves room for the letters
     panels[0].set_ylabel("error of the axis")
     panels[1].set_ylabel("error of the axis")
     style.letter_panels(list(panels))
