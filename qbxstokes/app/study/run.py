@@ -238,6 +238,7 @@ def _draw(comm: Any, plan: TablesPlan, made: Sequence[_Made], clock: Clock) -> d
             targets = [plan.output.with_name(f"{stem}.{kind}") for kind in _KINDS]
             files.setdefault(study.name, []).extend(map(str, targets))
             tasks.append((draw, study.tables, targets))
+    tasks.reverse()  # as the blocks: the richest figures come last
     failure: QbxStokesError | None = None
     counters = HandOut(comm)
     with clock.part("figures"):
