@@ -14,6 +14,7 @@ import pytest
 from qbxstokes.app.cli import run_command
 from qbxstokes.app.study import MAKERS, simulate
 from qbxstokes.bie.exact import exact_model
+from qbxstokes.errors import ConvergenceError
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.io.tables import Table
@@ -469,3 +470,34 @@ def test_a_study_stopped_after_its_blocks_goes_on_without_them(
     assert run_command([*words, "--resume"]) == 0
     assert made_of(tmp_path) == whole
     assert not (tmp_path / "out.h5.parts").exists()
+
+
+def test_a_block_that_fails_leaves_the_others_to_resume_with(
+    write_case: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = [str(write_case(CASE)), "--quiet"]
+    study = import_module(MAKERS["acceleration"])
+    compute, calls = study.compute, []
+
+    def failing(**parameters: Any) -> Any:
+        calls.append(parameters)
+        if len(calls) == 1:
+            raise ConvergenceError("no step is short enough")
+        return compute(**parameters)
+
+    monkeypatch.setattr(study, "compute", failing)
+    assert run_command(words) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2
+    assert "block" in told[0]
+    assert "no step is short enough" in told[0]
+    assert "out.h5.parts keeps the other blocks: --resume" in told[1]
+    assert not (tmp_path / "out.h5").exists()
+    whole = len(calls)
+    assert run_command([*words, "--resume"]) == 0
+    assert len(calls) == whole + 1
+    assert (tmp_path / "out.h5").exists()

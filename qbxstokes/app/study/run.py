@@ -76,7 +76,10 @@ def run_studies(
     files: dict[str, list[str]] = {}
     try:
         with Interruption(patient=comm.rank != 0):
-            errors = _compute(comm, plan, blocks, folder, options, clock)
+            failures = _compute(comm, plan, blocks, folder, options, clock)
+            if failures:  # tables and figures are of whole studies
+                failures.append(f"{folder} keeps the other blocks: --resume computes these again")
+                return _ended(comm, failures)
             with clock.part("tables"):
                 made = on_root(comm, lambda: _tables(plan, blocks, folder))
             if speak:
@@ -85,14 +88,19 @@ def run_studies(
                 files = _draw(comm, plan, made, clock)
 
             def store() -> list[str]:
-                return _store(loaded, plan, made, errors, files, options, record, clock)
+                return _store(loaded, plan, made, files, options, record, clock)
 
             failures = on_root(comm, store)
     except KeyboardInterrupt:
         raise interrupted(folder, SIGINT) from None
     if comm.rank == 0:
-        if all(_part(folder, number).exists() for number in range(len(blocks))):
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
+    return _ended(comm, failures)
+
+
+def _ended(comm: Any, failures: list[str]) -> int:
+    """Tell the failures, the same on all ranks; returns the exit status."""
+    if comm.rank == 0:
         for failure in failures:
             print(f"qbxstokes: {failure}", file=sys.stderr)
     return ConvergenceError.exit_status if failures else 0
@@ -202,12 +210,8 @@ class _Made:
 
 
 def _tables(plan: TablesPlan, blocks: list[Block], folder: Path) -> list[_Made]:
-    """The tables of all studies, of the blocks that there are."""
-    parts = [
-        json.loads(path.read_text())
-        for path in (_part(folder, number) for number in range(len(blocks)))
-        if path.exists()
-    ]
+    """The tables of all studies."""
+    parts = [json.loads(_part(folder, number).read_text()) for number in range(len(blocks))]
     made = []
     for name, module in plan.makers.items():
         chosen = [part for part in parts if part["study"] == name]
@@ -264,15 +268,15 @@ def _store(
     loaded: LoadedCase,
     plan: TablesPlan,
     made: Sequence[_Made],
-    failures: list[str],
     figures: dict[str, list[str]],
     options: argparse.Namespace,
     record: dict[str, Any],
     clock: Clock,
 ) -> list[str]:
-    """On rank 0: the result, the CSV files and the last words; returns all failures."""
+    """On rank 0: the result, the CSV files and the last words; returns the failed rows."""
     replace = options.overwrite or loaded.case.output.overwrite
     files: list[str] = []
+    failures: list[str] = []
     with ResultWriter(plan.output, "study", record, replace) as writer:
         for study in made:
             for table in study.tables:
@@ -284,7 +288,7 @@ def _store(
                 if loaded.case.study.csv:
                     stem = plan.output.with_name(f"{plan.output.stem}_{table.name}.csv")
                     files.append(str(table.write_csv(stem)))
-                failures = failures + [f"study {reason}" for reason in failed_rows(table)]
+                failures += [f"study {reason}" for reason in failed_rows(table)]
             files += figures.get(study.name, [])
         summary: dict[str, Any] = {
             "tables": [table.name for study in made for table in study.tables],
