@@ -82,6 +82,7 @@ def test_the_fit_finds_the_constants_that_made_the_times(tmp_path: Path) -> None
         replace(base, name="many short ones", periods=0.01, count=16384),
         replace(base, name="inertial, linear flow", stokes_number=10.0, count=1024),
         replace(base, name="massless, cubic flow", flow="cubic", count=1024),
+        replace(base, name="massless, centred flow", flow="centred", count=1024),
     ]
     done = {}
     for trial in trials:
@@ -89,7 +90,8 @@ def test_the_fit_finds_the_constants_that_made_the_times(tmp_path: Path) -> None
         inertial = trial.stokes_number > 0
         calls = float(weights(scenes, known).mean())
         evaluations = calls * trial.count
-        rhs = known.rhs(inertial, {"linear": 1, "cubic": 3}[trial.flow])
+        degree = {"linear": 1, "centred": 1, "cubic": 3}[trial.flow]
+        rhs = known.rhs(inertial, degree, trial.flow == "centred")
         size = layout_of(scenes).row_bytes
         parts = {
             "blocks": evaluations * rhs
@@ -103,6 +105,7 @@ def test_the_fit_finds_the_constants_that_made_the_times(tmp_path: Path) -> None
         done[trial.name] = Timed(trial, parts, evaluations, scenes, size)
     found, names = fitted(done, known.handout, known.model)
     assert {"call", "block", "rhs_massless_cubic", "rhs_inertial_linear", "layout"} < names
+    assert "rhs_massless_centred" in names
     assert "rhs_general" not in names
     for name in names - {"steps_massless", "steps_inertial"}:
         assert getattr(found, name) == pytest.approx(getattr(known, name), rel=1e-6), name

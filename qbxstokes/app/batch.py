@@ -115,6 +115,7 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
         "operators": len(scenes.bodies[1]),
         "bytes_on_disk": layout.bytes,
         "memory_per_rank": cost.memory,
+        "skips": list(scenes.skips),
         "seconds": {str(p): cost.seconds(p) for p in sorted({1, ranks, 1000, 10_000})},
         "text": plan_text(scenes, layout, cost, result_path(loaded), ranks),
     }

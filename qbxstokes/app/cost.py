@@ -31,16 +31,19 @@ class Constants:
     """Processor times on one core (s), and steps over those that are forecast.
 
     rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
-    flow (constant or linear, quadratic, cubic), and in any other flow. call: per right-hand side of
+    flow (constant or linear, quadratic, cubic), and in any other flow; centred: in a linear flow in
+    which no body leaves its place. call: per right-hand side of
     a block, whatever it holds. steps_*: of a block of several bodies over the forecast for one.
     sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
     integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
     another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
     """
 
+    rhs_massless_centred: float = 4.5e-8
     rhs_massless_linear: float = 6e-8
     rhs_massless_quadratic: float = 1.0e-7
     rhs_massless_cubic: float = 1.3e-7
+    rhs_inertial_centred: float = 8e-8
     rhs_inertial_linear: float = 1.3e-7
     rhs_inertial_quadratic: float = 1.5e-7
     rhs_inertial_cubic: float = 1.6e-7
@@ -56,12 +59,13 @@ class Constants:
     layout: float = 1.2e-6
     model: float = 0.2
 
-    def rhs(self, inertial: bool, degree: int | None) -> float:
+    def rhs(self, inertial: bool, degree: int | None, centred: bool = False) -> float:
         """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
         if degree is None or degree > 3:
             return self.rhs_general
         kind = "inertial" if inertial else "massless"
-        name = ("linear", "linear", "quadratic", "cubic")[degree]
+        linear = "centred" if centred else "linear"
+        name = (linear, linear, "quadratic", "cubic")[degree]
         return float(getattr(self, f"rhs_{kind}_{name}"))
 
     def steps(self, inertial: bool) -> float:
@@ -160,7 +164,7 @@ def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.
 def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
     """Integration time of every block."""
     case, flow = scenes.loaded.case, scenes.loaded.flow
-    seconds = constants.rhs(case.body.stokes_number > 0, flow.degree)
+    seconds = constants.rhs(case.body.stokes_number > 0, flow.degree, scenes.centred)
     calls = weights(scenes, constants)[scenes.scene_of_block()]
     fixed = constants.block + scenes.samples * constants.block_sample
     return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + constants.call))

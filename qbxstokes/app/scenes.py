@@ -26,6 +26,8 @@ Indices = NDArray[np.int64]
 
 STOKES: Key = ("body", "stokes_number")
 _POSITION: Key = ("start", "position")
+_MOVING = {_POSITION, ("start", "velocity")}
+_PUSHING = {"forces", "constraints"}
 # Sections that a sweep has no use for, and what it has in their place.
 _SINGLE = {
     "events": "a sweep takes periods and averages from the samples; leave it out",
@@ -168,12 +170,37 @@ class Scenes:
     def _pushed(self) -> bool:
         """Whether forces enter any motion of the sweep: its bodies serve every Stokes number."""
         columns = [column for _, column in self.space.columns]
-        if any(column.key[0] in ("forces", "constraints") for column in columns):
+        if any(column.key[0] in _PUSHING for column in columns):
             return True
         stokes = [c.take(np.arange(c.size)) for c in columns if c.key == STOKES]
         if any(np.any(values) for values in stokes):
             return True
         return subject_to_forces(self.loaded.case)
+
+    @cached_property
+    def centred(self) -> bool:
+        """Whether no body leaves its place, as far as the first trajectory tells for all.
+
+        Blocks then integrate the rotation alone (`motion.centred`).
+        """
+        swept = {column.key[:2] for _, column in self.space.columns}
+        scene = self.scene(0)
+        case, flow = scene.loaded.case, scene.loaded.flow.polynomial
+        pushed = self.loaded.case.forces.given or self.loaded.case.constraints.given
+        moving = case.start.velocity != "with_flow" and any(case.start.velocity)
+        if pushed or moving or swept & _MOVING or {key[0] for key in swept} & _PUSHING:
+            return False
+        if flow is None or scene.plan.hydrodynamics != "table":
+            return False
+        return bool(flow.odd_about(scene.plan.position))
+
+    @property
+    def skips(self) -> tuple[str, ...]:
+        """What is left out and why, as far as the first trajectory tells for all."""
+        skips = self.scene(0).plan.skips
+        if self.centred:
+            skips += ("translation: no body leaves its place in a flow that is odd about it",)
+        return skips
 
     # -- which values make a scene ------------------------------------------------------------
 

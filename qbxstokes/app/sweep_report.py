@@ -45,6 +45,7 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
                     ("blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"),
                     ("samples", f"{scenes.samples} each; stored: {stored}"),
                 ],
+                "Skips": [("", f"- {text}") for text in scenes.skips],
                 "Needs": [
                     ("memory", f"about {size(estimate.memory)} on each rank"),
                     ("disk", f"{size(layout.bytes)} for {target}"),

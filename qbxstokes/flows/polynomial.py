@@ -9,7 +9,7 @@ from math import factorial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Array, Flow, check_keys, curl, number, tensor
@@ -237,6 +237,12 @@ class PolynomialFlow(Flow):
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3)."""
         return self.derivatives(x)[1]
+
+    def odd_about(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether u(x + r) = -u(x - r) for all r, exactly, shape (...)."""
+        u, _, hessian, _ = self.derivatives(x)
+        still: NDArray[np.bool_] = ~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1)))
+        return still
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Laplacian B_ikk + C_ijkk y_j, shape (..., 3)."""

@@ -116,7 +116,8 @@ class BlockConstants:
     """What the compiled loop over a block needs besides the states.
 
     table (74,): see `kernels.tables`. mobility (4,). loads (12, n), or None. rates (4, n), gyration
-    and follow (2,) or None, of inertial bodies alone: rates is None for massless ones.
+    and follow (2,) or None, of inertial bodies alone: rates is None for massless ones. still:
+    centres (3, n) that stay, or None (see `motion.centred`).
     """
 
     degree: int
@@ -126,6 +127,7 @@ class BlockConstants:
     rates: Array | None
     gyration: float
     follow: tuple[float, float] | None
+    still: Array | None = None
 
 
 class RigidBodyEquations:
@@ -293,9 +295,14 @@ class RigidBodyEquations:
             return possible and self.evaluation == "compiled"
         return possible and (self.n_bodies >= COMPILED_BLOCK or evaluations >= COMPILED_EVALUATIONS)
 
-    def rate_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
-        """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only."""
-        return self._compiled("block") if self.compiled(evaluations) else self.rates
+    def rate_function(
+        self, evaluations: float = 0.0, still: Array | None = None
+    ) -> Callable[[float, Array, Array], None]:
+        """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only.
+
+        still: centres that stay, where y is to be without them (`motion.centred`, compiled alone).
+        """
+        return self._compiled("block", (still,)) if self.compiled(evaluations) else self.rates
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
@@ -306,6 +313,27 @@ class RigidBodyEquations:
         if not (self._steady_loads and self.compiled(evaluations)):
             return None
         return self._block()
+
+    def at_rest(self, y: Array) -> bool:
+        """Whether all centres stay where they are in the states y (n_bodies, n_state), for good.
+
+        The free velocity of a body vanishes at the centre of a flow that is odd about it, however
+        the body lies, since the body is its own image there. What is left are forces and a velocity
+        at the start.
+        """
+        if self._polynomial is None or not self._unconstrained:
+            return False
+        pushed = any(place < 2 for place, _ in self._timed_loads) or np.any(self._load_rows[:6])
+        moving = not self.massless and np.any(y[:, 7:10])
+        return not (pushed or moving) and bool(np.all(self._polynomial.odd_about(y[:, :3])))
+
+    def integrated(self, states: Array) -> Array:
+        """The part of states (n_bodies, n_state) that is integrated: all."""
+        return states
+
+    def completed(self, part: Array) -> Array:
+        """The states of what is integrated, as a copy."""
+        return np.array(part)
 
     def _block(self) -> BlockConstants:
         assert self._table is not None
@@ -319,8 +347,10 @@ class RigidBodyEquations:
             self._follow,
         )
 
-    def _compiled(self, loop: str) -> Callable[[float, Array, Array], None]:
-        """A compiled loop over the block with its constant arguments."""
+    def _compiled(
+        self, loop: str, more: tuple[Array | None, ...] = ()
+    ) -> Callable[[float, Array, Array], None]:
+        """A compiled loop over the block with its constant arguments, the last of them `more`."""
         from qbxstokes.motion.compiled import loops
 
         block = self._block()
@@ -331,7 +361,7 @@ class RigidBodyEquations:
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads_at(t)
-            run(y, out, table, mobility, loads, *inertia)
+            run(y, out, table, mobility, loads, *inertia, *more)
 
         return function
 

@@ -532,6 +532,7 @@ def inertial(
 # Loops over the bodies of a block, to be compiled (compiled.py). y and dydt: (n_state, n_bodies);
 # table: (74,), the flow and the law as `tables` orders them; mobility: (4,); loads: (12, n_bodies)
 # or None; rates: (4, n_bodies); jacobian: (n_bodies, n_state, n_state); follow: as in `inertial`.
+# still: None, or centres (3, n_bodies) that stay at rest; y and dydt then hold q, and W, alone.
 # The bodies pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
 # works on several bodies at once. It may not reorder arithmetic, so that the numbers are those of
 # the plain functions.
@@ -613,6 +614,13 @@ def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:
             tile[i, b] = source[i, start + b]
 
 
+def copy_back(tile: Any, target: Any, start: int, count: int) -> None:
+    """A tile into columns start to start + count of an array."""
+    for i in range(target.shape[0]):
+        for b in range(count):
+            target[i, start + b] = tile[i, b]
+
+
 def column_of_loads(loads: Any, b: int) -> Any:
     """The loads of body b."""
     return (
@@ -637,13 +645,17 @@ def massless_block(
     table: Any,
     mobility: Any,
     loads: Any,
+    still: Any,
 ) -> None:
     """`massless` for every body of a block."""
     flow, law = tables(table)
     s, r, f = np.empty((7, TILE)), np.empty((7, TILE)), np.empty((12, TILE))
+    first = 0 if still is None else 3
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
-        copy_tile(y, start, s, count)
+        if still is not None:
+            copy_tile(still, start, s, count)
+        copy_tile(y, start, s[first:], count)
         if loads is not None:
             copy_tile(loads, start, f, count)
 
@@ -663,9 +675,7 @@ def massless_block(
             )
             for i in range(len(rate)):
                 r[i, b] = rate[i]
-        for i in range(7):
-            for b in range(count):
-                dydt[i, start + b] = r[i, b]
+        copy_back(r[first:], dydt, start, count)
 
 
 def massless_jacobian_block(
@@ -715,18 +725,24 @@ def inertial_block(
     rates: Any,
     gyration: float,
     follow: Any,
+    still: Any,
 ) -> None:
     """`inertial` for every body of a block."""
     flow, law = tables(table)
     s, r, f, p = (
-        np.empty((13, TILE)),
+        np.zeros((13, TILE)),
         np.empty((13, TILE)),
         np.empty((12, TILE)),
         np.empty((4, TILE)),
     )
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
-        copy_tile(y, start, s, count)
+        if still is None:
+            copy_tile(y, start, s, count)
+        else:
+            copy_tile(still, start, s, count)
+            copy_tile(y[:4], start, s[3:], count)
+            copy_tile(y[4:], start, s[10:], count)
         if loads is not None:
             copy_tile(loads, start, f, count)
         copy_tile(rates, start, p, count)
@@ -755,9 +771,11 @@ def inertial_block(
             )
             for i in range(len(rate)):
                 r[i, b] = rate[i]
-        for i in range(13):
-            for b in range(count):
-                dydt[i, start + b] = r[i, b]
+        if still is None:
+            copy_back(r, dydt, start, count)
+        else:
+            copy_back(r[3:7], dydt[:4], start, count)
+            copy_back(r[10:], dydt[4:], start, count)
 
 
 def inertial_jacobian_block(

@@ -62,9 +62,9 @@ def _frozen(context, array):  # type: ignore[no-untyped-def]
 
 
 # Put in for each kind of block before compilation: its loop, the numbers of a state, and whether
-# there are loads, inertia, and parts that follow the flow.
+# there are loads, inertia, parts that follow the flow, and centres that stay.
 _loop: Any = None
-_STATE, _LOADED, _INERTIAL, _FOLLOWING = 7, False, False, False
+_STATE, _LOADED, _INERTIAL, _FOLLOWING, _STILL = 7, False, False, False, False
 
 # Places of the constants: calls so far, number of bodies, and where each part begins.
 _CALLS, _BODIES, _TABLE, _MOBILITY, _GYRATION, _FOLLOW, _RATES = 0, 1, 2, 76, 80, 81, 83
@@ -81,10 +81,11 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     failed = _get_rate(rate, places[1:].ctypes)
     if failed:
         return failed
-    c = carray(constants, (_RATES + 16 * n,))
+    c = carray(constants, (_RATES + 19 * n,))
     y = _frozen(carray(_pointer(places[0]), (_STATE, n)))
     out = carray(_pointer(places[1]), (_STATE, n))
-    loads = c[_RATES + 4 * n :].reshape(12, n) if _LOADED else None
+    loads = c[_RATES + 4 * n : _RATES + 16 * n].reshape(12, n) if _LOADED else None
+    still = c[_RATES + 16 * n :].reshape(3, n) if _STILL else None
     if _INERTIAL:
         _loop(
             y,
@@ -95,9 +96,10 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
             c[_RATES : _RATES + 4 * n].reshape(4, n),
             c[_GYRATION],
             (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None,
+            still,
         )
     else:
-        _loop(y, out, c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION], loads)
+        _loop(y, out, c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION], loads, still)
     failed = _restore_rate(rate, places[1:].ctypes)
     if failed:
         return failed
@@ -105,21 +107,22 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
 
 
 @cache
-def _compiled(degree: int, inertial: bool, loaded: bool, following: bool) -> Any:
+def _compiled(degree: int, inertial: bool, loaded: bool, following: bool, still: bool) -> Any:
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
     loop = loops(degree)["inertial_block" if inertial else "massless_block"]
     namespace = globals() | {
         "_loop": loop,
-        "_STATE": 13 if inertial else 7,
+        "_STATE": (7 if still else 13) if inertial else (4 if still else 7),
         "_LOADED": loaded,
         "_INERTIAL": inertial,
         "_FOLLOWING": following,
+        "_STILL": still,
     }
     copy = FunctionType(_rate.__code__, namespace, "_rate")
     copy.__module__ = __name__
     # The cache looks at this file alone: the name tells the version of what is called.
     stamp = Path(kernels.__file__).stat().st_mtime_ns
-    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}_{stamp:x}"
+    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}{still:d}_{stamp:x}"
     return numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(copy)
 
 
@@ -149,9 +152,13 @@ class NativeRate:
     def __init__(self, block: BlockConstants, n_bodies: int) -> None:
         inertial = block.rates is not None
         self._function = _compiled(
-            block.degree, inertial, block.loads is not None, block.follow is not None
+            block.degree,
+            inertial,
+            block.loads is not None,
+            block.follow is not None,
+            block.still is not None,
         )
-        self._constants = np.zeros(_RATES + 16 * n_bodies)
+        self._constants = np.zeros(_RATES + 19 * n_bodies)
         c = self._constants
         c[_BODIES] = n_bodies
         c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION] = block.table, block.mobility
@@ -161,7 +168,9 @@ class NativeRate:
         if block.follow is not None:
             c[_FOLLOW:_RATES] = block.follow
         if block.loads is not None:
-            c[_RATES + 4 * n_bodies :] = block.loads.ravel()
+            c[_RATES + 4 * n_bodies : _RATES + 16 * n_bodies] = block.loads.ravel()
+        if block.still is not None:
+            c[_RATES + 16 * n_bodies :] = block.still.ravel()
 
     @property
     def calls(self) -> int:

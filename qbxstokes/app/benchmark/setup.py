@@ -17,10 +17,12 @@ from qbxstokes.app.benchmark.accuracy import model_error
 from qbxstokes.app.benchmark.timing import peak_memory, timed
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body, choose_scheme, plain_body
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
+from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme, independent_rows, layer_rows
+from qbxstokes.reference import jeffery
 
 if TYPE_CHECKING:
     from qbxstokes.app.tabulate import Work
@@ -202,7 +204,9 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     from qbxstokes.bie.functional import faxen_coefficients
     from qbxstokes.bie.providers import GridMotion, SolveMotion
     from qbxstokes.flows.named import Shear
+    from qbxstokes.flows.polynomial import PolynomialFlow
     from qbxstokes.motion.equations import RigidBodyEquations
+    from qbxstokes.petsc.stepper import integrate
 
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
     both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
@@ -230,6 +234,14 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     def table_motion() -> Any:
         return np.concatenate(equations.velocities(0.0, state))
 
+    def block(stokes_number: float, stream: float) -> Any:
+        """Orientations at the end of a period; a stream too slow to count lets the bodies move."""
+        moved = PolynomialFlow((stream, 0.0, 0.0), flow.gradient_tensor)
+        many = RigidBodyEquations(model, moved, stokes_number, _BLOCK, evaluation="compiled")
+        start = many.initial_state(np.zeros(3), orientations)
+        return integrate(many, start, [jeffery.period(k)], 1e-8).states[-1, :, 3:7]
+
+    orientations = rotation.random_quaternions(_BLOCK, np.random.default_rng(0))
     equations = RigidBodyEquations(model, flow)
     state = equations.initial_state(x[0], q[0])
     solve = SolveMotion(operators, flow)
@@ -253,10 +265,16 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     )
     yield "integral equation at a step", lambda: motion(solve), lambda: motion(grid)
     yield "flow on the surface at a step", lambda: motion(grid), table_motion
+    for stokes_number in (0.0, 10.0):
+        yield (
+            f"translation at a stagnation point, a block of {_BLOCK}, St = {stokes_number:g}",
+            partial(block, stokes_number, 1e-300),
+            partial(block, stokes_number, 0.0),
+        )
 
 
-# Right-hand sides timed together: one alone is too short.
-_CALLS = 1000
+# Right-hand sides timed together: one alone is too short. Bodies of a block.
+_CALLS, _BLOCK = 1000, 512
 
 
 def considered(

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from qbxstokes.app.tabulate import Work
 
 RANKS = (1, 2, 10, 100, 1000, 10_000)
-# One shear at the centre of each, so that the bodies turn alike.
+# One shear at the centre of each, so that the bodies turn alike; a slow stream lets them move.
 _FLOWS = {
-    "linear": "{u1: {x2: 1}}",
+    "linear": "{u1: {'1': 1.0e-9, x2: 1}}",
+    "centred": "{u1: {x2: 1}}",
     "quadratic": "{u1: {x2: 1, x2^2: 0.25, x3^2: 0.25}}",
-    "cubic": "{u1: {x2: 1, x2^3: 0.1}, u2: {x1^3: 0.1}}",
+    "cubic": "{u1: {'1': 1.0e-9, x2: 1, x2^3: 0.1}, u2: {x1^3: 0.1}}",
 }
 # What the prediction for many ranks is made of.
 LARGE = """\
@@ -138,7 +139,7 @@ def tables(work: Work) -> Iterator[Table]:
             replace(base, name="many short ones", periods=0.01, count=8192 * size),
         ]
         for stokes_number, kind in ((0.0, "massless"), (10.0, "inertial")):
-            for flow in work.choose(("linear",), _FLOWS):
+            for flow in work.choose(("linear", "centred"), _FLOWS):
                 new = replace(base, flow=flow, stokes_number=stokes_number, count=512 * size)
                 if (kind, flow) != ("massless", "linear"):
                     trials.append(replace(new, name=f"{kind}, {flow} flow"))

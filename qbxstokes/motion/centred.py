@@ -1,0 +1,67 @@
+"""The equations of bodies whose centres stay at rest: those of their rotation.
+
+In a flow that is odd about a body's centre, as a linear flow is about every stagnation point, a
+body that nothing pushes stays where it is. Of its state only q changes for St = 0, and q and W for
+St > 0: 4 numbers of 7, and 7 of 13. They change as in the whole equations, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.motion.equations import BlockConstants, RigidBodyEquations
+
+Array = NDArray[np.float64]
+Function = Callable[[float, Array, Array], None]
+
+_TURNING = (3, 4, 5, 6, 10, 11, 12)
+
+
+class CentredEquations:
+    """The part of the equations that turns the bodies, for an integrator.
+
+    whole: equations that are `compiled` and whose bodies are `at_rest` in `states` (n_bodies,
+    n_state). The methods are those of `RigidBodyEquations`, of states (n_bodies, 4 or 7).
+    """
+
+    def __init__(self, whole: RigidBodyEquations, states: Array) -> None:
+        self._whole, self._states = whole, np.array(states)
+        self._active = np.array([place for place in _TURNING if place < whole.n_state])
+        self._still = np.ascontiguousarray(states[:, :3].T)
+        self.n_bodies, self.n_state = whole.n_bodies, len(self._active)
+
+    def integrated(self, states: Array) -> Array:
+        """The part of states (n_bodies, n_state of the whole) that changes."""
+        return states[:, self._active]
+
+    def completed(self, part: Array) -> Array:
+        """The whole states to which a part belongs, as a copy."""
+        states = self._states.copy()
+        states[:, self._active] = part
+        return states
+
+    def rate_function(self, evaluations: float = 0.0) -> Function:
+        """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only."""
+        return self._whole.rate_function(evaluations, self._still)
+
+    def jacobian_function(self, evaluations: float = 0.0) -> Function:
+        """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
+        whole, active = self._whole.jacobian_function(evaluations), self._active
+        blocks = np.empty((self.n_bodies, self._whole.n_state, self._whole.n_state))
+
+        def function(t: float, y: Array, out: Array) -> None:
+            states = self.completed(y.T).T
+            states.flags.writeable = False  # the loop is compiled for such arrays
+            whole(t, states, blocks)
+            out[:] = blocks[:, active[:, None], active]
+
+        return function
+
+    def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
+        """All that the compiled loop takes, where nothing of it depends on time."""
+        block = self._whole.block_constants(evaluations)
+        return None if block is None else replace(block, still=self._still)
