@@ -227,7 +227,7 @@ def _form(
 
 def _model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyModel:
     coefficients, misfit = faxen_coefficients(functional)
-    numbers = resistance(functional.weights, operators.completion_flows)
+    numbers = resistance(functional, operators.completion_flows)
     return BodyModel(operators.grid.spheroid.aspect_ratio, numbers, coefficients, None, misfit)
 
 

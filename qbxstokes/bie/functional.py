@@ -255,15 +255,22 @@ def adjoint_weights(
     return weights
 
 
-def resistance(weights: dict[str, Array], completion: dict[str, Array]) -> Resistance | None:
+def resistance(functional: ModalFunctional, completion: dict[str, Array]) -> Resistance | None:
     """Resistance from the free motion of the body pushed by a completion of unit force or torque.
 
     The mobility problem with that force has the completion flow as its data: U = R^-1 F. None
-    without a completion.
+    without a completion. A sphere has one resistance for every direction, the mean.
     """
     if not completion:
         return None
-    return Resistance(**{name: 1.0 / float(weights[name] @ completion[name]) for name in weights})
+    weights = functional.weights
+    numbers = {name: 1.0 / float(weights[name] @ completion[name]) for name in weights}
+    if functional.grid.spheroid.aspect_ratio == 1.0:
+        for kind in ("translation", "rotation"):
+            across, along = f"{kind}_transverse", f"{kind}_axial"
+            mean = (2.0 * numbers[across] + numbers[along]) / 3.0
+            numbers |= {across: mean, along: mean}
+    return Resistance(**numbers)
 
 
 @cache
@@ -298,6 +305,9 @@ def faxen_coefficients(functional: ModalFunctional) -> tuple[FaxenCoefficients, 
     Each basis flow is put on the grid, its free motion taken, and the coefficients of its degree
     are the least-squares solution over the basis. With exact hydrodynamics the misfit vanishes, so
     it measures the error of the discretisation (largest absolute difference, unit derivatives).
+
+    A sphere has no axis: U = u + q0 Lap u and Omega = w/2, and the other coefficients are exact
+    zeros, which the motion then leaves out (Lap w = 0 in a Stokes flow).
     """
     # Cylindrical components of a cubic flow hold modes up to 4: eight nodes keep 0 and 1 clean.
     grid = functional.on_grid(8)
@@ -315,7 +325,11 @@ def faxen_coefficients(functional: ModalFunctional) -> tuple[FaxenCoefficients, 
         known, terms = terms_of(tensors, d)
         measured = (motion[:, :3] if degree == 2 else motion[:, 3:]) - known
         matrix = np.moveaxis(terms, 0, -1).reshape(-1, len(terms))
-        solution = np.linalg.lstsq(matrix, measured.ravel(), rcond=None)[0]
+        free = slice(None)
+        if functional.grid.spheroid.aspect_ratio == 1.0:
+            free = slice(1 if degree == 2 else 0)
+        solution = np.zeros(len(terms))
+        solution[free] = np.linalg.lstsq(matrix[:, free], measured.ravel(), rcond=None)[0]
         misfit = max(misfit, float(np.max(np.abs(matrix @ solution - measured.ravel()))))
         fits.append(solution)
     return FaxenCoefficients(float(fits[0][0]), fits[1], fits[2]), misfit

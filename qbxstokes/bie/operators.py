@@ -161,7 +161,7 @@ def form_body_model(operators: SurfaceOperators, solver: SolverFactory = DirectS
     coefficients, misfit = faxen_coefficients(functional)
     return BodyModel(
         operators.grid.spheroid.aspect_ratio,
-        resistance(functional.weights, operators.completion_flows),
+        resistance(functional, operators.completion_flows),
         coefficients,
         None,
         misfit,

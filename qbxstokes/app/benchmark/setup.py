@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from qbxstokes.app.tabulate import Work
     from qbxstokes.bie.resistance import Completion
 
+# Bodies of a block; right-hand sides timed together, since one alone is too short.
+_BLOCK, _CALLS = 512, 1000
+
 # Aspect ratio, n_theta, order, r/h, upsampling: on the front of error against time of a scan of the
 # uniform scheme over all four, up to seconds a body.
 _UNIFORM = (
@@ -174,7 +177,6 @@ def _skips(repeats: int) -> Table:
         "What the plan leaves out: change of the result, time saved (k = 1/2, 1e-10)",
         (
             Column("skip", "", ""),
-            Column("done", "", "what is not saves too little for a second set of equations"),
             Column("without", "ms", "processor time with nothing skipped", ".3g"),
             Column("skipped", "ms", "processor time with the skip", ".3g"),
             Column("saving", "", "ratio of the two", ".2g"),
@@ -182,14 +184,12 @@ def _skips(repeats: int) -> Table:
             Column("passed", "", "no more than rounding"),
         ),
     )
-    rows = [(*row, "yes") for row in skips()] + [(*row, "no") for row in considered()]
-    for name, full, short, done in rows:
+    for name, full, short in skips():
         slow, before = timed(full, repeats, time.thread_time)
         fast, after = timed(short, repeats, time.thread_time)
         change = float(np.max(np.abs(before - after)) / np.max(np.abs(before)))
         table.add(
             skip=name,
-            done=done,
             without=1e3 * slow,
             skipped=1e3 * fast,
             saving=slow / fast,
@@ -201,9 +201,9 @@ def _skips(repeats: int) -> Table:
 
 def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[], Any]]]:
     """Name of each skip, the work without it and with it; both give comparable arrays."""
-    from qbxstokes.bie.functional import faxen_coefficients
+    from qbxstokes.bie.functional import FaxenCoefficients, faxen_coefficients
     from qbxstokes.bie.providers import GridMotion, SolveMotion
-    from qbxstokes.flows.named import Shear
+    from qbxstokes.flows.named import Paraboloid, Shear
     from qbxstokes.flows.polynomial import PolynomialFlow
     from qbxstokes.motion.equations import RigidBodyEquations
     from qbxstokes.petsc.stepper import integrate
@@ -241,6 +241,21 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
         start = many.initial_state(np.zeros(3), orientations)
         return integrate(many, start, [jeffery.period(k)], 1e-8).states[-1, :, 3:7]
 
+    def sphere(law: FaxenCoefficients) -> Callable[[], Any]:
+        """Many right-hand sides; coefficients too small to count keep the axis in."""
+        equations = RigidBodyEquations(replace(ball, faxen=law), Paraboloid(0.5))
+        rate = equations.rate_of_rows
+        rows = equations.initial_state((0.3, 2.0, 0.0), q[0])[0].tolist()
+
+        def calls() -> Any:
+            for _ in range(_CALLS):
+                result = rate(0.0, rows)
+            return np.array(result)
+
+        return calls
+
+    ball = plain_body(Spheroid(1.0), scheme).model
+    laws = (ball.faxen.quadratic, ball.faxen.cubic)
     orientations = rotation.random_quaternions(_BLOCK, np.random.default_rng(0))
     equations = RigidBodyEquations(model, flow)
     state = equations.initial_state(x[0], q[0])
@@ -265,75 +280,14 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     )
     yield "integral equation at a step", lambda: motion(solve), lambda: motion(grid)
     yield "flow on the surface at a step", lambda: motion(grid), table_motion
+    yield (
+        "axis of a sphere at a right-hand side",
+        sphere(FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))),
+        sphere(FaxenCoefficients(0.0, *laws)),
+    )
     for stokes_number in (0.0, 10.0):
         yield (
             f"translation at a stagnation point, a block of {_BLOCK}, St = {stokes_number:g}",
             partial(block, stokes_number, 1e-300),
             partial(block, stokes_number, 0.0),
         )
-
-
-# Right-hand sides timed together: one alone is too short. Bodies of a block.
-_CALLS, _BLOCK = 1000, 512
-
-
-def considered(
-    sphere: float = 1.0, k: float = 0.5
-) -> Iterator[tuple[str, Callable[[], Any], Callable[[], Any]]]:
-    """Skips of a right-hand side that the program leaves alone, in the form of `skips`.
-
-    A body at a stagnation point of a linear flow stays there, so that its position need not be
-    integrated; a sphere moves alike however it lies, so that its axis need not enter. Either saves
-    some microseconds of a right-hand side, beside which the integrator spends several times as
-    much, so that neither is worth equations of its own.
-    """
-    from qbxstokes.flows.named import Paraboloid, Shear
-    from qbxstokes.motion import kernels
-    from qbxstokes.motion.equations import RigidBodyEquations, pack_table
-
-    q = np.array([0.8, 0.3, -0.4, 0.33])
-
-    def repeated(action: Callable[[], Any]) -> Callable[[], Any]:
-        def calls() -> Any:
-            for _ in range(_CALLS):
-                result = action()
-            return np.array(result)
-
-        return calls
-
-    def equations(aspect_ratio: float, flow: Any, x: tuple[float, float, float]) -> Any:
-        model = plain_body(Spheroid(aspect_ratio), choose_scheme(1e-10)).model
-        found = RigidBodyEquations(model, flow)
-        rows = found.initial_state(x, q)[0].tolist()
-        return found.rate_of_rows, rows, *kernels.tables(pack_table(flow, model).tolist())
-
-    rate, rows, flow, law = equations(k, Shear(), (0.0, 0.0, 0.0))
-
-    def rotation_alone() -> Any:
-        q0, q1, q2, q3 = rows[3:7]
-        d1, d2, d3 = kernels.symmetry_axis(q0, q1, q2, q3)
-        o1, o2, o3 = kernels.turning(d1, d2, d3, flow[2], 0.5, law[0])
-        return (0.0, 0.0, 0.0, *kernels.quaternion_rate_space(q0, q1, q2, q3, o1, o2, o3))
-
-    yield (
-        "translation at a stagnation point",
-        repeated(lambda: rate(0.0, rows)),
-        repeated(rotation_alone),
-    )
-    round_rate, place, stream, laws = equations(sphere, Paraboloid(0.5), (0.3, 2.0, 0.0))
-
-    def without_axis() -> Any:
-        x1, x2, x3, q0, q1, q2, q3 = place
-        second = stream[3]
-        m = kernels.contract(second, x1, x2, x3)
-        u, gradient = kernels.velocity_and_gradient(x1, x2, x3, stream, m)
-        lap = kernels.laplacian(second)
-        v = [a + laws[1][0] * b for a, b in zip(u, lap, strict=True)]
-        o1, o2, o3 = kernels.turning(0.0, 0.0, 0.0, gradient, 0.5, 0.0)
-        return (*v, *kernels.quaternion_rate_space(q0, q1, q2, q3, o1, o2, o3))
-
-    yield (
-        "axis of a sphere",
-        repeated(lambda: round_rate(0.0, place)),
-        repeated(without_axis),
-    )
