@@ -30,6 +30,19 @@ CASE: dict[str, Any] = {
 }
 
 
+def test_a_sphere_has_no_axis_in_the_law_of_its_motion(write_case: WriteCase) -> None:
+    model = accurate_body(Spheroid(1.0), 1e-8).model
+    assert model.faxen.linear == 0.0
+    assert not np.any(model.faxen.quadratic[1:])
+    assert not np.any(model.faxen.cubic)
+    assert model.faxen.quadratic[0] == pytest.approx(1.0 / 6.0, rel=1e-12)
+    r = model.resistance
+    assert r.translation_transverse == r.translation_axial == pytest.approx(6.0 * np.pi, rel=1e-8)
+    assert r.rotation_transverse == r.rotation_axial == pytest.approx(8.0 * np.pi, rel=1e-8)
+    ball = CASE | {"body": {"aspect_ratio": 1}}
+    assert any(text.startswith("axis") for text in make_plan(load_case(write_case(ball))).skips)
+
+
 # -- the resistance ---------------------------------------------------------------------------
 
 
