@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.app.plan import NO_AXIS, Plan, make_plan, subject_to_forces
+from qbxstokes.app.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
 from qbxstokes.config.load import LoadedCase, from_document
 from qbxstokes.config.sweep import Column, Key
 
@@ -197,7 +197,7 @@ class Scenes:
     @property
     def skips(self) -> tuple[str, ...]:
         """What is left out and why, as far as the first trajectory tells for all."""
-        skips = tuple(text for text in self.scene(0).plan.skips if text != NO_AXIS)
+        skips = tuple(text for text in self.scene(0).plan.skips if text not in (NO_AXIS, NO_ZEROS))
         if self.centred:
             skips += ("translation: no body leaves its place in a flow that is odd about it",)
         return skips

@@ -205,7 +205,8 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     from qbxstokes.bie.providers import GridMotion, SolveMotion
     from qbxstokes.flows.named import Paraboloid, Shear
     from qbxstokes.flows.polynomial import PolynomialFlow
-    from qbxstokes.motion.equations import RigidBodyEquations
+    from qbxstokes.motion import kernels
+    from qbxstokes.motion.equations import RigidBodyEquations, pack_table
     from qbxstokes.petsc.stepper import integrate
 
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
@@ -244,8 +245,10 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     def sphere(law: FaxenCoefficients) -> Callable[[], Any]:
         """Many right-hand sides; coefficients too small to count keep the axis in."""
         equations = RigidBodyEquations(replace(ball, faxen=law), Paraboloid(0.5))
-        rate = equations.rate_of_rows
-        rows = equations.initial_state((0.3, 2.0, 0.0), q[0])[0].tolist()
+        return many(equations.rate_of_rows, equations.initial_state((0.3, 2.0, 0.0), q[0]))
+
+    def many(rate: Callable[[float, Any], Any], start: Any) -> Callable[[], Any]:
+        rows = start[0].tolist()
 
         def calls() -> Any:
             for _ in range(_CALLS):
@@ -254,11 +257,16 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
 
         return calls
 
+    def general(t: float, rows: Any) -> Any:
+        arguments = [*rows, *constants, None, None]
+        return kernels.massless(*arguments)
+
     ball = plain_body(Spheroid(1.0), scheme).model
     laws = (ball.faxen.quadratic, ball.faxen.cubic)
     orientations = rotation.random_quaternions(_BLOCK, np.random.default_rng(0))
     equations = RigidBodyEquations(model, flow)
     state = equations.initial_state(x[0], q[0])
+    constants = kernels.tables(pack_table(flow, model).tolist())
     solve = SolveMotion(operators, flow)
     grid = GridMotion(functional.on_grid(8), flow)
     motion(solve)
@@ -281,11 +289,18 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     yield "integral equation at a step", lambda: motion(solve), lambda: motion(grid)
     yield "flow on the surface at a step", lambda: motion(grid), table_motion
     yield (
+        "terms that are zero at a right-hand side",
+        many(general, state),
+        many(equations.rate_of_rows, state),
+    )
+    yield (
         "axis of a sphere at a right-hand side",
         sphere(FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))),
         sphere(FaxenCoefficients(0.0, *laws)),
     )
     for stokes_number in (0.0, 10.0):
+        for stream in (0.0, 1e-300):  # compile what a fresh machine has not
+            block(stokes_number, stream)
         yield (
             f"translation at a stagnation point, a block of {_BLOCK}, St = {stokes_number:g}",
             partial(block, stokes_number, 1e-300),
