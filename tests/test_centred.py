@@ -17,7 +17,8 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.petsc import stepper
-from qbxstokes.petsc.stepper import Chunk, Step, integrate
+from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.trajectory import Chunk, Step
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -56,13 +57,13 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 def sizes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers per body of what is integrated from now on."""
     found: list[int] = []
-    build = stepper._Run._build
+    build = stepper.Run._build
 
     def noted(self: Any) -> None:
         build(self)
         found.append(self._vector.getSize() // self.equations.n_bodies)
 
-    monkeypatch.setattr(stepper._Run, "_build", noted)
+    monkeypatch.setattr(stepper.Run, "_build", noted)
     return found
 
 

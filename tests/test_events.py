@@ -23,7 +23,8 @@ from qbxstokes.motion.events import (
     steady,
     turning_point,
 )
-from qbxstokes.petsc.stepper import Checkpoint, Chunk, integrate
+from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, jeffery
 
 SHEAR = build_flow({"type": "shear"}).polynomial

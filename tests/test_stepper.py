@@ -23,7 +23,8 @@ from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.forecast import Forecast
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.native import native_rate
-from qbxstokes.petsc.stepper import Checkpoint, Chunk, Step, integrate
+from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Step
 from qbxstokes.reference import faxen, inertial, jeffery
 
 Array = np.ndarray

@@ -22,7 +22,8 @@ from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.petsc.stepper import Trajectory, integrate
+from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,8 @@ from qbxstokes.io.cache import Cache
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
-from qbxstokes.petsc.stepper import Trajectory, integrate
+from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.qbx.operator import layer_rows
 
 Array = NDArray[np.float64]

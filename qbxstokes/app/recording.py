@@ -23,7 +23,7 @@ from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfin
 from qbxstokes.io.results import MOTION_FIELDS, TIME, ResultWriter, numbered
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
-from qbxstokes.petsc.stepper import Checkpoint, Chunk
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 
 Array = NDArray[np.float64]
 

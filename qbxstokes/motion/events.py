@@ -37,7 +37,7 @@ _EPSILON = 4.0 * float(np.finfo(float).eps)
 
 
 class StepLike(Protocol):
-    """A step of an integrator; see `petsc.stepper.Step`."""
+    """A step of an integrator; see `petsc.trajectory.Step`."""
 
     @property
     def before(self) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.petsc.stepper import Checkpoint, _Run
+from qbxstokes.petsc.stepper import Run
+from qbxstokes.petsc.trajectory import Checkpoint
 
 Array = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ def integrate_with_handler(
 
     start (1, n_state). event_tolerance: of the function's values; None leaves PETSc's own.
     """
-    run = _Run(equations, Checkpoint(0.0, start), np.array([end]), tolerance, method, "", None)
-    ts, instants = run._ts, []
+    run = Run(equations, Checkpoint(0.0, start), np.array([end]), tolerance, method, "", None)
+    ts, instants = run.ts, []
 
     def value(_: Any, t: float, state: Any, values: Array) -> None:
         values[0] = function(t, state.getArray(readonly=1).tolist())

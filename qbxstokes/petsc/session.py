@@ -46,6 +46,32 @@ def stage(name: str) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def temporary_options(
+    prefix: str, defaults: Mapping[str, str], forced: Mapping[str, str]
+) -> Iterator[None]:
+    """Options that hold while an object reads its own.
+
+    `defaults` yield to what the user has set, `forced` do not; all are taken back at the end, so
+    that the database holds the user's options alone.
+    """
+    from petsc4py import PETSc
+
+    database = PETSc.Options()
+    before = database.getAll()
+    wanted = {name: value for name, value in defaults.items() if prefix + name not in before}
+    values = {prefix + name: value for name, value in (wanted | dict(forced)).items()}
+    for name, value in values.items():
+        database.setValue(name, value)
+    try:
+        yield
+    finally:
+        for name in values:
+            database.delValue(name)
+            if name in before:
+                database.setValue(name, before[name])
+
+
 def _release() -> None:
     """Destroy what Python has let go of, while Python still runs.
 

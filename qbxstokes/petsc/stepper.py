@@ -47,6 +47,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast
+from qbxstokes.petsc.session import temporary_options
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Step, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -67,117 +69,6 @@ ADVICE = (
     ". Try a larger tolerance, another -ts_type (implicit ones: arkimex, rosw, bdf) or "
     "-ts_adapt_monitor to see why steps are rejected"
 )
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """All that a run needs to go on, and its record so far; only `time` and `state` at the start.
-
-    state (n_bodies, n_state); step: the next one, 0 to choose; next_sample: index into the times.
-    method, local_tolerance and reachable are those of the run from its start; see `Trajectory`.
-    norm_drift: largest | |q| - 1 | that any cut met before it was removed.
-    """
-
-    time: float
-    state: Array
-    step: float = 0.0
-    next_sample: int = 0
-    method: str = ""
-    local_tolerance: float = 0.0
-    reachable: float = 0.0
-    steps: int = 0
-    rejections: int = 0
-    evaluations: int = 0
-    jacobians: int = 0
-    norm_drift: float = 0.0
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Samples since the last cut, and the checkpoint that follows them.
-
-    times (c,); states (c, n_bodies, n_state), quaternions of unit length. `first` is the index of
-    the first sample in the whole run.
-    """
-
-    first: int
-    times: Array
-    states: Array
-    checkpoint: Checkpoint
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Samples and the record of the integration.
-
-    times (T,), states (T, n_bodies, n_state); both empty when chunks were streamed instead.
-    finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
-    last sample is then that instant. refusal: what the flow said where it let no step through, near
-    a singular point; failure: why the integration cannot go on; both end the run as well, with the
-    last state it reached. The record of the integration is in `checkpoint`.
-    """
-
-    times: Array
-    states: Array
-    checkpoint: Checkpoint
-    finished: bool
-    stopped: bool = False
-    refusal: str = ""
-    failure: str = ""
-
-    @property
-    def method(self) -> str:
-        """TS type, or the formula of a Runge-Kutta type."""
-        return self.checkpoint.method
-
-    @property
-    def local_tolerance(self) -> float:
-        """What the error of a step was held to."""
-        return self.checkpoint.local_tolerance
-
-    @property
-    def reachable(self) -> float:
-        """About the error at the end that rounding alone leaves, however fine the tolerance."""
-        return self.checkpoint.reachable
-
-    @property
-    def steps(self) -> int:
-        """Accepted steps."""
-        return self.checkpoint.steps
-
-    @property
-    def rejections(self) -> int:
-        """Rejected steps."""
-        return self.checkpoint.rejections
-
-    @property
-    def evaluations(self) -> int:
-        """Right-hand sides of the block."""
-        return self.checkpoint.evaluations
-
-    @property
-    def jacobians(self) -> int:
-        """Jacobians of the block."""
-        return self.checkpoint.jacobians
-
-    @property
-    def norm_drift(self) -> float:
-        """Largest | |q| - 1 | before it was removed."""
-        return self.checkpoint.norm_drift
-
-
-@dataclass(frozen=True)
-class Step:
-    """An accepted step for an observer: instants before and after, states (n_bodies, n_state).
-
-    state: the state at any instant between, as accurate as the steps.
-    """
-
-    before: float
-    after: float
-    start: Array
-    end: Array
-    state: Callable[[float], Array]
 
 
 @dataclass
@@ -226,7 +117,7 @@ def integrate(
     else:
         state = np.array(start, dtype=np.float64).reshape(equations.n_bodies, equations.n_state)
         checkpoint = Checkpoint(t0, state)
-    run = _Run(equations, checkpoint, instants, tolerance, method, prefix, longest_step)
+    run = Run(equations, checkpoint, instants, tolerance, method, prefix, longest_step)
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -245,7 +136,7 @@ def integrate(
     )
 
 
-class _Run:
+class Run:
     """One integration in progress."""
 
     def __init__(
@@ -274,7 +165,7 @@ class _Run:
         database = PETSc.Options()
         self._monitored = any(name.startswith(f"{prefix}ts_monitor") for name in database.getAll())
         self._inside: tuple[float, Array] | None = None
-        self._ts: Any = None
+        self.ts: Any = None
         self._sampler: Any = None
         self._build()
 
@@ -287,18 +178,18 @@ class _Run:
         self.release()
         self._vector = PETSc.Vec().createSeq(self._moving.n_bodies * self._moving.n_state)
         self._inner = self._vector.duplicate()
-        self._ts = self._integrator(self._vector, adaptive=True)
+        self.ts = self._integrator(self._vector, adaptive=True)
         self._write(self._vector, start.state)
-        self._ts.setTime(start.time)
-        self._ts.setStepNumber(start.steps)
-        self._ts.setTimeStep(start.step or self._first_step())
+        self.ts.setTime(start.time)
+        self.ts.setStepNumber(start.steps)
+        self.ts.setTimeStep(start.step or self._first_step())
 
     def release(self) -> None:
         """Free the integrators: they hold callbacks that hold this object, unseen by Python."""
-        for integrator in (self._ts, self._sampler):
+        for integrator in (self.ts, self._sampler):
             if integrator is not None:
                 integrator.destroy()
-        self._ts = self._sampler = None
+        self.ts = self._sampler = None
 
     def _integrator(self, vector: Any, adaptive: bool) -> Any:
         """A TS of the wanted type with its callbacks, as defaults below the options."""
@@ -325,7 +216,8 @@ class _Run:
             "ts_ksp_type": "preonly",
             "ts_pc_type": "lu" if self.equations.n_bodies == 1 else "pbjacobi",
         }
-        with _Options(self._prefix, defaults, {} if adaptive else {"ts_adapt_type": "none"}):
+        forced = {} if adaptive else {"ts_adapt_type": "none"}
+        with temporary_options(self._prefix, defaults, forced):
             ts.setFromOptions()
         kind = str(ts.getType())
         self._bodywise = kind not in EXPLICIT_TYPES
@@ -525,7 +417,7 @@ class _Run:
     ) -> bool:
         """Step to the end; False if `interrupted` stopped it at the last cut."""
         chunk_samples, chunk_steps, chunk_time = limits
-        ts, times = self._ts, self.times
+        ts, times = self.ts, self.times
         index, t = self.checkpoint.next_sample, self.checkpoint.time
         samples: list[Array] = []
         while index < len(times) and times[index] <= t:
@@ -573,7 +465,7 @@ class _Run:
             due = (len(samples) >= chunk_samples or late) and not young
             if due or index == len(times):
                 self._cut(deliver, t, index, samples)
-                ts, samples, times = self._ts, [], self.times
+                ts, samples, times = self.ts, [], self.times
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
             self._cut(deliver, t, index, samples)
@@ -604,7 +496,7 @@ class _Run:
         back and tried a quarter as long: the error estimate does not see the stages that both
         formulas weigh alike.
         """
-        ts, counter = self._ts, self.counter
+        ts, counter = self.ts, self.counter
         while True:
             near, counter.astray, counter.refusal = counter.astray, False, None
             before, length, number = ts.getTime(), ts.getTimeStep(), ts.getStepNumber()
@@ -627,7 +519,7 @@ class _Run:
 
     def _try_step(self) -> None:
         """One step of TS; what went astray is for the caller to take back."""
-        ts, before = self._ts, self._ts.getTime()
+        ts, before = self.ts, self.ts.getTime()
         try:
             ts.step()
         except PETSc.Error as error:
@@ -652,7 +544,7 @@ class _Run:
 
     def _failed(self, advice: str, what: str) -> ConvergenceError | FlowError:
         """The error for a step that cannot be completed, with time and place."""
-        ts, refusal = self._ts, self.counter.refusal
+        ts, refusal = self.ts, self.counter.refusal
         if isinstance(refusal, FlowFunctionError):
             what, advice = str(refusal), ""
         elif refusal is not None:
@@ -676,7 +568,7 @@ class _Run:
         if t == after:
             return self._read(self._vector)
         if self.method in INTERPOLANT_SUFFICES:
-            self._ts.interpolate(t, self._inner)
+            self.ts.interpolate(t, self._inner)
         elif many and self._native is None:
             if self._inside is None or self._inside[0] != before:
                 self._inside = before, self._nodes(before, start, after)
@@ -696,7 +588,7 @@ class _Run:
                 self._inner.setArray(start if node == 0.0 else self._vector.getArray(readonly=1))
             else:
                 self._substep(before, start, after, t)
-            self._rate(self._ts, t, self._inner, slope)
+            self._rate(self.ts, t, self._inner, slope)
             states.append(self._inner.getArray(readonly=1).copy())
             rates.append(slope.getArray(readonly=1).copy())
         return np.array(states + rates)
@@ -717,7 +609,7 @@ class _Run:
         self, deliver: Callable[[Chunk], None], t: float, index: int, samples: list[Array]
     ) -> None:
         """Hand over the samples with a checkpoint, and start afresh from it."""
-        ts = self._ts
+        ts = self.ts
         state = self._read(self._vector)
         drift = float(np.max(np.abs(np.linalg.norm(state[:, 3:7], axis=1) - 1.0)))
         old = self.checkpoint
@@ -779,33 +671,3 @@ def _of_unit_length(states: Array) -> Array:
 
 def _reached(t: float, end: float) -> bool:
     return t >= end or math.isclose(t, end, rel_tol=1e-14)
-
-
-class _Options:
-    """Options that hold while an object reads its own.
-
-    `defaults` yield to what the user has set, `forced` do not; all are taken back at the end, so
-    that the database holds the user's options alone.
-    """
-
-    def __init__(self, prefix: str, defaults: dict[str, str], forced: dict[str, str]) -> None:
-        database = PETSc.Options()
-        self._set = {
-            prefix + name: value
-            for name, value in defaults.items()
-            if not database.hasName(prefix + name)
-        } | {prefix + name: value for name, value in forced.items()}
-
-    def __enter__(self) -> None:
-        database = PETSc.Options()
-        before = database.getAll()
-        self._before = {name: before.get(name) for name in self._set}
-        for name, value in self._set.items():
-            database.setValue(name, value)
-
-    def __exit__(self, *_: object) -> None:
-        database = PETSc.Options()
-        for name, value in self._before.items():
-            database.delValue(name)
-            if value is not None:
-                database.setValue(name, value)
