@@ -43,7 +43,7 @@ class Constants:
     rhs_massless_linear: float = 6e-8
     rhs_massless_quadratic: float = 1.0e-7
     rhs_massless_cubic: float = 1.3e-7
-    rhs_inertial_centred: float = 8e-8
+    rhs_inertial_centred: float = 6e-8
     rhs_inertial_linear: float = 1.3e-7
     rhs_inertial_quadratic: float = 1.5e-7
     rhs_inertial_cubic: float = 1.6e-7
