@@ -83,3 +83,12 @@ def test_zero_data_have_the_zero_solution(operators):
     solver = GmresSolver(operators.mobility, operators.grid)
     assert not np.any(solver.solve(np.zeros_like(operators.grid.points)))
     assert solver.records == []
+
+
+def test_what_the_program_sets_is_not_taken_for_the_users(operators):
+    """Options of the solver turn off the cache, so that none of ours may stay in the database."""
+    GmresSolver(operators.mobility, operators.grid, 1e-10)
+    assert session.solver_options(PETSc) == []
+    with session.temporary_options("", {"ksp_max_it": "50"}, {}):
+        assert session.solver_options(PETSc) == ["ksp_max_it"]
+    assert session.solver_options(PETSc) == []

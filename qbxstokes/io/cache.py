@@ -57,9 +57,12 @@ def default_folder() -> Path | None:
 
 @cache
 def fingerprint() -> str:
-    """Hash of the sources that compute what is kept: a changed formula finds no old entry."""
+    """Hash of what computes the arrays: a changed formula finds no old entry.
+
+    The version of NumPy is part of it, since the next one may round differently.
+    """
     root = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(np.__version__.encode())
     for package in _NUMERICAL:
         for path in sorted((root / package).glob("*.py")):
             digest.update(path.name.encode())

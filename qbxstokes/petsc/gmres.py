@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.shell import PreconditionerContext, shell_matrix
 from qbxstokes.qbx.modes import ModalOperator
 
@@ -69,15 +70,13 @@ class GmresSolver:
         else:
             pc.setType(PETSc.PC.Type.NONE)
         # Classical Gram-Schmidt, PETSc's default, loses the basis for k < 1/20 and stagnates.
-        database = PETSc.Options()
-        name, value = (
-            ("ksp_orthogonalization", "mgs")
+        modified = (
+            {"ksp_orthogonalization": "mgs"}
             if PETSc.Sys.getVersion() >= (3, 26)
-            else ("ksp_gmres_modifiedgramschmidt", "true")
+            else {"ksp_gmres_modifiedgramschmidt": "true"}
         )
-        if not database.hasName(name):
-            database.setValue(name, value)
-        ksp.setFromOptions()
+        with temporary_options("", modified, {}):
+            ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
         self._product = self._rhs.duplicate()
 

@@ -87,9 +87,8 @@ def _release() -> None:
 
 def solver_options(PETSc: Any) -> list[str]:
     """Names of the options for the linear solver that the user gave."""
-    ours = "ksp_gmres_modifiedgramschmidt"
     names = PETSc.Options().getAll()
-    return sorted(name for name in names if name.startswith(("ksp_", "pc_")) and name != ours)
+    return sorted(name for name in names if name.startswith(("ksp_", "pc_")))
 
 
 def stepper_options(PETSc: Any) -> list[str]:
