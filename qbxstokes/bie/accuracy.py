@@ -26,13 +26,12 @@ from qbxstokes.bie.functional import (
     BodyModel,
     ErrorParts,
     ModalFunctional,
-    faxen_coefficients,
-    resistance,
 )
 from qbxstokes.bie.operators import (
     DirectSolver,
     SolverFactory,
-    SurfaceOperators,
+    body_model,
+    form_body_model,
     modal_functional,
     surface_operators,
 )
@@ -222,13 +221,7 @@ def _form(
     operators = surface_operators(spheroid, scheme, 3, completion, rows)
     functional = modal_functional(operators, solver)
     direct = functional if solver is DirectSolver else modal_functional(operators)
-    return _Body(_model(operators, functional), functional, scheme, rows, direct)
-
-
-def _model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyModel:
-    coefficients, misfit = faxen_coefficients(functional)
-    numbers = resistance(functional, operators.completion_flows)
-    return BodyModel(operators.grid.spheroid.aspect_ratio, numbers, coefficients, None, misfit)
+    return _Body(body_model(operators, functional), functional, scheme, rows, direct)
 
 
 def estimate_error(
@@ -247,7 +240,7 @@ def estimate_error(
     solver = 0.0
     if body.direct is not body.functional:
         operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
-        solver = model_distance(body.model, _model(operators, body.direct), degree)
+        solver = model_distance(body.model, body_model(operators, body.direct), degree)
     rounding = _rounding(body, completion, degree)
     if isinstance(scheme, UniformScheme):
         changes = {
@@ -339,7 +332,7 @@ def _rounding(body: _Body, completion: Completion | None, degree: int) -> float:
         if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
             impose_rigid_motions(grid, rows, double)
         operators = surface_operators(grid.spheroid, scheme, 3, completion, (double, body.rows[1]))
-        perturbed = _model(operators, modal_functional(operators))
+        perturbed = form_body_model(operators)
         spread.append(model_distance(body.model, perturbed, degree))
     return float(np.max(spread)) + _ROUNDING_FLOOR
 

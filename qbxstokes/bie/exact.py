@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from qbxstokes.bie.accuracy import model_distance
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.reference import faxen
 
@@ -16,3 +17,8 @@ def exact_model(aspect_ratio: float) -> BodyModel:
         None,
         0.0,
     )
+
+
+def true_error(model: BodyModel) -> float:
+    """Largest relative error of a body model, in force, torque or free motion."""
+    return model_distance(model, exact_model(model.aspect_ratio))

@@ -157,15 +157,14 @@ def form_body_model(operators: SurfaceOperators, solver: SolverFactory = DirectS
 
     The grid functional is left out; `modal_functional` gives it for any number of azimuthal nodes.
     """
-    functional = modal_functional(operators, solver)
+    return body_model(operators, modal_functional(operators, solver))
+
+
+def body_model(operators: SurfaceOperators, functional: ModalFunctional) -> BodyModel:
+    """Body model from the solutions of the adjoint problems."""
     coefficients, misfit = faxen_coefficients(functional)
-    return BodyModel(
-        operators.grid.spheroid.aspect_ratio,
-        resistance(functional, operators.completion_flows),
-        coefficients,
-        None,
-        misfit,
-    )
+    numbers = resistance(functional, operators.completion_flows)
+    return BodyModel(operators.grid.spheroid.aspect_ratio, numbers, coefficients, None, misfit)
 
 
 def modal_functional(

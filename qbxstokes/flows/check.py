@@ -139,19 +139,19 @@ def _irregularity(flow: Flow, centres: Array, radii: Array, t: float) -> Array:
     """Largest difference of (mean - u)/r^2 between two spheres over what it may be, (n,)."""
     with np.errstate(all="ignore"):
         values = flow.velocity(centres, t)[:, None, :]
+        noise = 1e-13 * np.abs(values).max(axis=(1, 2))
         terms, errors = [], []
         for part in _PARTS:
-            spheres = centres[:, None, :] + part * radii[:, None, None] * _sphere(8)[0]
-            moved = flow.velocity(spheres, t) - values
-            coarse = centres[:, None, :] + part * radii[:, None, None] * _sphere(6)[0]
-            moved_coarse = flow.velocity(coarse, t) - values
-            fine = np.einsum("bni,n->bi", moved, _sphere(8)[1])
-            rough = np.einsum("bni,n->bi", moved_coarse, _sphere(6)[1])
+            means = []
+            for nodes, weights in (_sphere(6), _sphere(8)):
+                points = centres[:, None, :] + part * radii[:, None, None] * nodes
+                moved = flow.velocity(points, t) - values
+                means.append(np.einsum("bni,n->bi", moved, weights))
+            rough, fine = means
             size = np.abs(moved).max(axis=(1, 2))
-            noise = 1e-13 * np.abs(values).max(axis=(1, 2))
-            terms.append(fine / part**2)
             # Ten times the difference of two rules, for they may err alike.
             allowed = 10.0 * np.abs(fine - rough).max(axis=1) + _IRREGULAR * size + noise
+            terms.append(fine / part**2)
             errors.append(allowed / part**2)
         pairs = [(i, j) for i in range(len(_PARTS)) for j in range(i)]
         apart = [np.abs(terms[i] - terms[j]).max(axis=1) for i, j in pairs]

@@ -21,6 +21,7 @@ from qbxstokes.bie.accuracy import (
     flow_nodes,
     resolving_nodes,
 )
+from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.functional import stokes_polynomials
 from qbxstokes.flows.base import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
@@ -166,20 +167,6 @@ def _honesty(count: int, say: Any) -> Table:
     return table
 
 
-def model_error(body: AccurateBody) -> float:
-    """True error of resistance and Faxen coefficients, relative as `accuracy.model_distance`."""
-    model, k = body.model, body.model.aspect_ratio
-    shape, quadratic, cubic = faxen.body_coefficients(k)
-    area = float(np.max(np.abs(quadratic)))
-    motion = max(
-        abs(model.faxen.linear - shape),
-        float(np.sum(np.abs(model.faxen.quadratic - quadratic))) / area,
-        float(np.sum(np.abs(model.faxen.cubic - cubic))) / area,
-    )
-    numbers = zip(vars(model.resistance).values(), faxen.resistance(k), strict=True)
-    return float(motion + max(abs(a / b - 1.0) for a, b in numbers))
-
-
 def _thinness() -> Table:
     table = Table(
         "thinness",
@@ -197,7 +184,7 @@ def _thinness() -> Table:
         body = accurate_body(Spheroid(k), 1e-10, strict=False)
         parts = body.model.error_parts
         assert parts is not None
-        error = model_error(body)
+        error = true_error(body.model)
         table.add(
             aspect_ratio=k,
             error=error,

@@ -49,7 +49,7 @@ class Orbit:
         """The axes (n, 3): Jeffery's, or his torque integrated by DOP853 at 1e-13."""
         k = self.aspect_ratio
         if self.stokes_number == 0.0:
-            return np.array([jeffery.axis_at(t, k, AXIS) for t in times])
+            return jeffery.axis_at(times, k, AXIS)
         gradient = Shear().gradient(np.zeros(3))
         found = inertial.linear_flow(
             k, self.stokes_number, gradient, start[3:7], [0.0, *times], start[10:13]

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.app.benchmark.accuracy import model_error
 from qbxstokes.app.benchmark.timing import peak_memory, timed
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body, choose_scheme, plain_body
+from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -108,7 +108,7 @@ def _formed(k: float, scheme: UniformScheme | GradedScheme, repeats: int) -> dic
         "aspect_ratio": k,
         "scheme": name,
         "parameters": ", ".join(f"{number:g}" for number in numbers),
-        "error": model_error(body),
+        "error": true_error(body.model),
         "time": span,
         "memory": memory,
         "iterations": solver.records[-1].iterations,
@@ -141,7 +141,7 @@ def _tolerance(ratios: tuple[float, ...], tolerances: tuple[float, ...], repeats
             cache, key = Cache(Path(folder)), {"aspect_ratio": k, "tolerance": tolerance}
             cache.store("body", key, body.to_arrays())
             cached, _ = timed(partial(_read, cache, key), repeats)
-            error = model_error(body)
+            error = true_error(body.model)
             table.add(
                 aspect_ratio=k,
                 tolerance=tolerance,

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from functools import partial
 
 from qbxstokes.app.stress.checks import Checks, outcome
-from qbxstokes.app.stress.scenes import true_error
 from qbxstokes.app.tabulate import Work
 from qbxstokes.bie.accuracy import accurate_body
+from qbxstokes.bie.exact import true_error
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
@@ -40,7 +40,7 @@ def tables(work: Work) -> Iterator[Table]:
             body, refusal = outcome(partial(accurate_body, spheroid, tolerance), ConvergenceError)
             if body is None:
                 body = accurate_body(spheroid, tolerance, strict=False)
-            estimate, error = body.model.error_estimate, true_error(body)
+            estimate, error = body.model.error_estimate, true_error(body.model)
             answer = "refused" if refusal else "reached"
             bound = HONESTY * estimate if refusal else tolerance
             checks.see(k, tolerance, estimate, answer, value=error, bound=bound)

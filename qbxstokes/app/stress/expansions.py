@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from functools import partial
 
 from qbxstokes.app.stress.checks import Checks, outcome
-from qbxstokes.app.stress.scenes import true_error
 from qbxstokes.app.tabulate import Work
 from qbxstokes.bie.accuracy import accurate_body
+from qbxstokes.bie.exact import true_error
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
@@ -41,7 +41,7 @@ def tables(work: Work) -> Iterator[Table]:
                     if refusal:
                         checks.see(order, factor, side, value=0.0, bound=HONESTY, at="refused")
                         continue
-                    error, estimate = true_error(body), body.model.error_estimate
+                    error, estimate = true_error(body.model), body.model.error_estimate
                     at = f"k = {k:g}: error {error:.0e}, estimate {estimate:.0e}"
                     ratio = error / estimate
                     checks.see(order, factor, side, value=ratio, bound=HONESTY, at=at)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from qbxstokes.app.stress.checks import Checks
-from qbxstokes.app.stress.scenes import true_error
 from qbxstokes.app.tabulate import Work
 from qbxstokes.bie.accuracy import accurate_body
+from qbxstokes.bie.exact import true_error
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme
@@ -50,7 +50,7 @@ def tables(work: Work) -> Iterator[Table]:
         work.say(f"resolution, aspect ratio {k:g}")
         for name, quadrature, scheme in _schemes(work, k):
             body = accurate_body(Spheroid(k), 1e-10, scheme)
-            error, estimate = true_error(body), body.model.error_estimate
+            error, estimate = true_error(body.model), body.model.error_estimate
             at = f"k = {k:g}, n_theta = {scheme.n_theta}: error {error:.0e}"
             key = (name, quadrature, scheme.expansion_order)
             checks.see(*key, value=error / estimate, bound=HONESTY, at=at)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import AccurateBody, accurate_body, model_distance
-from qbxstokes.bie.exact import exact_model
+from qbxstokes.bie.accuracy import AccurateBody, accurate_body
 from qbxstokes.bie.functional import (
     stokes_polynomials,
 )
@@ -179,8 +178,3 @@ def polynomial(kind: str, **keys: Any) -> PolynomialFlow:
     flow = build_flow({"type": kind, **keys})
     assert isinstance(flow, PolynomialFlow)
     return flow
-
-
-def true_error(body: AccurateBody) -> float:
-    """Largest relative error of a body model, against the closed forms."""
-    return model_distance(body.model, exact_model(body.model.aspect_ratio))

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import model_distance
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import SurfaceOperators, form_body_model, surface_operators
 from qbxstokes.bie.resistance import Completion
@@ -86,8 +84,3 @@ def formed(
     operators = surface_operators(Spheroid(k), scheme, n_phi, completion)
     model = form_body_model(operators)
     return operators, model, time.perf_counter() - begin
-
-
-def true_error(model: BodyModel) -> float:
-    """Largest relative error in resistance or free motion."""
-    return model_distance(model, exact_model(model.aspect_ratio))

@@ -9,6 +9,7 @@ import numpy as np
 from qbxstokes.app.study import discretise
 from qbxstokes.app.study.linear_shear import fill
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body, choose_scheme
+from qbxstokes.bie.exact import true_error
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.qbx.operator import GradedScheme
@@ -54,12 +55,12 @@ def _errors(k: float) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"table": "aspect_ratios", "aspect_ratio": k, "scheme": name}
         if scheme is None:
             model, spent, estimate = _automatic(k, 1e-10)[1:]
-            row |= {"error": discretise.true_error(model), "estimate": estimate, "time": spent}
+            row |= {"error": true_error(model), "estimate": estimate, "time": spent}
         elif isinstance(scheme, GradedScheme) or (
             scheme.r_over_h <= ratio and discretise.cost(scheme) <= _DEAREST
         ):
             _, model, spent = discretise.formed(k, scheme)
-            row |= {"error": discretise.true_error(model), "time": spent}
+            row |= {"error": true_error(model), "time": spent}
         rows.append(row)
     return rows
 
@@ -85,7 +86,7 @@ def _recommended(k: float, tolerance: float, trials: list[dict[str, Any]]) -> di
         "expansion_order": scheme.expansion_order,
         "radius_factor": scheme.radius_factor,
         "panel_order": scheme.panel_order,
-        "error": discretise.true_error(model),
+        "error": true_error(model),
         "estimate": estimate,
         "time": alone,
         "time_with_estimate": spent,
@@ -112,7 +113,7 @@ def _uniform_trials(k: float) -> list[dict[str, Any]]:
                             "uniform_order": order,
                             "uniform_radius": part,
                             "uniform_upsampling": upsampling,
-                            "uniform_error": discretise.true_error(model),
+                            "uniform_error": true_error(model),
                             "uniform_time": spent,
                         }
                     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from qbxstokes.app.study import discretise, simulate
 from qbxstokes.app.study.linear_shear import fill
 from qbxstokes.bie.accuracy import choose_scheme, model_distance
+from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import SolveMotion
 from qbxstokes.geometry import rotation
@@ -159,7 +160,7 @@ def _nodes(k: float, nodes: int) -> list[dict[str, Any]]:
                 "scheme": name,
                 "n_theta": nodes,
                 "density_error": float(np.abs(density - exact).max() / np.abs(exact).max()),
-                "motion_error": discretise.true_error(model),
+                "motion_error": true_error(model),
                 "time": spent,
             }
         )
@@ -203,8 +204,8 @@ def _map(k: float, r_over_h: float, order: int, upsamplings: tuple[int, ...]) ->
     for row, scheme in zip(rows, schemes, strict=True):
         _, model, spent = discretise.formed(k, scheme)
         row |= {
-            "error": discretise.true_error(model),
-            "truncation": discretise.true_error(resolved),
+            "error": true_error(model),
+            "truncation": true_error(resolved),
             "quadrature": model_distance(model, resolved),
             "time": spent,
         }
