@@ -13,30 +13,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from qbxstokes.app.calls import run as run
-    from qbxstokes.app.calls import sweep as sweep
-    from qbxstokes.app.interface import Body as Body
-    from qbxstokes.app.interface import Motion as Motion
-    from qbxstokes.app.interface import flow as flow
-    from qbxstokes.config.load import load_case as load_case
+    from qbxstokes.case.load import load_case as load_case
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
     from qbxstokes.io.results import load as load
+    from qbxstokes.run.calls import run as run
+    from qbxstokes.run.calls import sweep as sweep
+    from qbxstokes.simulation.interface import Body as Body
+    from qbxstokes.simulation.interface import Motion as Motion
+    from qbxstokes.simulation.interface import flow as flow
 
 __version__ = "0.1.0"
 
 # Public name -> module that holds it; imported when first used, so that `import qbxstokes` costs
 # nothing and the mathematics stays free of PETSc, files and options.
 _PUBLIC = {
-    "Body": "qbxstokes.app.interface",
-    "Motion": "qbxstokes.app.interface",
+    "Body": "qbxstokes.simulation.interface",
+    "Motion": "qbxstokes.simulation.interface",
     "Spheroid": "qbxstokes.geometry.spheroid",
     "build_flow": "qbxstokes.flows",
-    "flow": "qbxstokes.app.interface",
+    "flow": "qbxstokes.simulation.interface",
     "load": "qbxstokes.io.results",
-    "load_case": "qbxstokes.config.load",
-    "run": "qbxstokes.app.calls",
-    "sweep": "qbxstokes.app.calls",
+    "load_case": "qbxstokes.case.load",
+    "run": "qbxstokes.run.calls",
+    "sweep": "qbxstokes.run.calls",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     share_threads()
     gc.set_threshold(_ALLOCATIONS)
-    from qbxstokes.app.cli import run_command
+    from qbxstokes.cli.main import run_command
 
     return run_command(sys.argv[1:] if arguments is None else arguments)
 

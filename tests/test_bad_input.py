@@ -27,9 +27,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qbxstokes.__main__ import main
-from qbxstokes.app import cli
-from qbxstokes.config.describe import keys
-from qbxstokes.config.load import section_of
+from qbxstokes.case.describe import keys
+from qbxstokes.case.load import section_of
+from qbxstokes.cli import main as cli
 from qbxstokes.flows import REGISTRY
 from qbxstokes.io.results import ResultWriter
 

@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import pytest
 
-from qbxstokes.app.cli import run_command
+from qbxstokes.cli.main import run_command
 from qbxstokes.io.sweep import parts_of, read_journals
 
 CASE: dict[str, Any] = {
@@ -82,7 +82,7 @@ def test_a_dry_run_does_not_wait_for_the_other_ranks(
     (tmp_path / "case.yaml").write_text(json.dumps(CASE))
     script = (
         "import sys\n"
-        "from qbxstokes.app.cli import run_command\n"
+        "from qbxstokes.cli.main import run_command\n"
         "status = run_command(sys.argv[1:])\n"
         "sys.exit(status or 'petsc4py.PETSc' in sys.modules)"
     )
@@ -108,7 +108,7 @@ def test_any_number_of_ranks_gives_the_same_bits(
 SLOW = """
 import os, sys, time
 from mpi4py import MPI
-from qbxstokes.app import block
+from qbxstokes.run import block
 compute, count = block.compute_block, [0]
 def slow(*arguments):
     count[0] += 1
@@ -119,7 +119,7 @@ def slow(*arguments):
     time.sleep(0.15 if failing in (None, rank) else 1.0)
     return compute(*arguments)
 block.compute_block = slow
-from qbxstokes.app.cli import run_command
+from qbxstokes.cli.main import run_command
 sys.exit(run_command(sys.argv[1:]))
 """
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.app.scenes import Scenes
 from qbxstokes.bie.exact import exact_model
-from qbxstokes.config.load import load_case
+from qbxstokes.case.load import load_case
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Chunk, Step
+from qbxstokes.run.scenes import Scenes
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

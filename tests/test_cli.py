@@ -14,19 +14,19 @@ import pytest
 from conftest import ROOT, Run
 
 import qbxstokes
-from qbxstokes.app.cli import run_command, split_arguments
-from qbxstokes.app.parallel import missing_message
-from qbxstokes.app.plan import make_plan, rotation_period
-from qbxstokes.app.report import counted
-from qbxstokes.app.summary import _estimate, _seen, flow_text, shape_text
-from qbxstokes.app.tasks import plan_of
-from qbxstokes.config.describe import starter
-from qbxstokes.config.document import parse, read_text
-from qbxstokes.config.load import load_case
-from qbxstokes.config.schema import FOREIGN, Case
+from qbxstokes.case.describe import starter
+from qbxstokes.case.document import parse, read_text
+from qbxstokes.case.load import load_case
+from qbxstokes.case.schema import FOREIGN, Case
+from qbxstokes.cli.main import run_command, split_arguments
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load
+from qbxstokes.run.parallel import missing_message
+from qbxstokes.run.plan import make_plan, rotation_period
+from qbxstokes.run.report import counted
+from qbxstokes.run.summary import _estimate, _seen, flow_text, shape_text
+from qbxstokes.run.tasks import plan_of
 
 WriteCase = Callable[..., Path]
 
@@ -203,7 +203,7 @@ def test_schema_is_json_and_table_is_markdown(run_cli: Run) -> None:
 def test_cases_are_valid_and_say_what_they_are(case: Path) -> None:
     plan_of(load_case(case), overwrite=True)
     text = case.read_text()
-    assert text.startswith("# yaml-language-server: $schema=../qbxstokes/config/")
+    assert text.startswith("# yaml-language-server: $schema=../qbxstokes/case/")
     for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
         assert word in text
 
@@ -325,7 +325,7 @@ def test_bad_case_on_two_ranks_is_told_once(mpirun: Run, write_case: WriteCase) 
 def test_one_rank_failing_ends_the_job(mpirun: Run, error: str) -> None:
     script = f"""
 import time
-from qbxstokes.app.parallel import guarded, world
+from qbxstokes.run.parallel import guarded, world
 from qbxstokes.errors import QbxStokesError
 comm = world()
 def action():

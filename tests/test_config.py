@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qbxstokes.config.base import expression, to_angle
-from qbxstokes.config.describe import SCHEMA_FILE, json_schema, keys, markdown_table, starter
-from qbxstokes.config.document import MAX_BYTES, parse
-from qbxstokes.config.load import load_case, validate
-from qbxstokes.config.schema import Case
+from qbxstokes.case.base import expression, to_angle
+from qbxstokes.case.describe import SCHEMA_FILE, json_schema, keys, markdown_table, starter
+from qbxstokes.case.document import MAX_BYTES, parse
+from qbxstokes.case.load import load_case, validate
+from qbxstokes.case.schema import Case
 from qbxstokes.errors import CaseError
 
 WriteCase = Callable[..., Path]
@@ -270,7 +270,7 @@ def test_starter_case_runs_as_it_is() -> None:
 
 
 def test_schema_file_is_current() -> None:
-    stored = resources.files("qbxstokes.config").joinpath(SCHEMA_FILE).read_text()
+    stored = resources.files("qbxstokes.case").joinpath(SCHEMA_FILE).read_text()
     assert json.loads(stored) == json_schema(), "run: python -m qbxstokes schema --write"
 
 

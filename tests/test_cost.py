@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qbxstokes.app.batch import layout_of
 from qbxstokes.app.benchmark.sweeps import LARGE, Timed, Trial, fitted
-from qbxstokes.app.cost import XEON, Constants, block_seconds, estimate, weights
-from qbxstokes.app.scenes import Scenes
-from qbxstokes.config.load import load_case
+from qbxstokes.case.load import load_case
+from qbxstokes.run.cost import XEON, Constants, block_seconds, estimate, weights
+from qbxstokes.run.scenes import Scenes
+from qbxstokes.run.sweep import layout_of
 
 
 def scenes_of(text: str, folder: Path) -> Scenes:

@@ -77,7 +77,7 @@ def test_python_of_the_readme(tmp_path):
 
 def test_key_table_of_the_readme_is_the_schema():
     """The table between the markers is what `python -m qbxstokes schema --table` prints."""
-    from qbxstokes.config.describe import markdown_table
+    from qbxstokes.case.describe import markdown_table
 
     text = (ROOT / "README.md").read_text()
     shown = text.split("<!-- keys: python -m qbxstokes schema --table -->\n")[1]

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from conftest import ROOT, Run
 
-from qbxstokes.app.loads import loads_and_constraints
-from qbxstokes.config.load import load_case
-from qbxstokes.config.timed import expression_in_time, timed
+from qbxstokes.case.load import load_case
+from qbxstokes.case.timed import expression_in_time, timed
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.loads import loads_and_constraints
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {

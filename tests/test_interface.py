@@ -16,7 +16,9 @@ from qbxstokes.geometry import rotation
 from qbxstokes.reference import faxen, jeffery, lamb
 
 
-@pytest.mark.parametrize("module", ["qbxstokes", "qbxstokes.app.calls", "qbxstokes.app.interface"])
+@pytest.mark.parametrize(
+    "module", ["qbxstokes", "qbxstokes.run.calls", "qbxstokes.simulation.interface"]
+)
 def test_examples_run_as_written(module):
     result = doctest.testmod(importlib.import_module(module), raise_on_error=False)
     assert result.attempted > 3

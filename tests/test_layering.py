@@ -24,8 +24,11 @@ LEVELS = (
     {"qbx"},
     {"bie"},
     {"motion"},
-    {"petsc", "io", "plots", "config"},
+    {"petsc", "io", "plots", "case"},
+    {"simulation"},
+    {"run"},
     {"app"},
+    {"cli"},
     {"__main__", "__init__"},
 )
 LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
@@ -35,15 +38,15 @@ SHARED = ("errors", "__version__")
 # Libraries that only some packages may import, wherever in the file the import stands.
 HOMES = {
     "petsc4py": {"petsc"},
-    "mpi4py": {"petsc", "app"},
-    "yaml": {"config"},
+    "mpi4py": {"petsc", "run", "app", "cli"},
+    "yaml": {"case"},
     "h5py": {"io"},
     "matplotlib": {"plots"},
     "pandas": {"io"},
     "xarray": {"io"},
-    "tqdm": {"app"},
-    "argparse": {"app", "__main__"},
-    "logging": {"petsc", "io", "plots", "config", "app", "__main__"},
+    "tqdm": {"run"},
+    "argparse": {"run", "app", "cli", "__main__"},
+    "logging": {"petsc", "io", "plots", "case", "simulation", "run", "app", "cli", "__main__"},
 }
 # What verifies shares no code with what is verified.
 REFERENCE_LIBRARIES = {"numpy", "scipy"}
@@ -144,7 +147,7 @@ def test_imports_go_down(path: Path) -> None:
         ("qbxstokes.bie.mobility", "def f():\n    from petsc4py import PETSc"),
         ("qbxstokes.flows.linear", "from qbxstokes.geometry import spheroid"),
         ("qbxstokes.reference.jeffery", "import numba"),
-        ("qbxstokes.io.results", "from qbxstokes.config import schema"),
+        ("qbxstokes.io.results", "from qbxstokes.case import schema"),
         ("qbxstokes.errors", "from qbxstokes.geometry import spheroid"),
         ("qbxstokes.helpers", ""),
     ],
@@ -164,8 +167,8 @@ def test_forbidden_imports_are_seen(module: str, source: str) -> None:
         ("qbxstokes.flows.linear", "from qbxstokes.errors import FlowError"),
         ("qbxstokes.reference.jeffery", "import math\nfrom scipy import special"),
         ("qbxstokes.petsc.shell", "from petsc4py import PETSc\nfrom qbxstokes.qbx import operator"),
-        ("qbxstokes.__main__", "from qbxstokes.app import run"),
-        ("qbxstokes.app.cli", "from qbxstokes import __version__"),
+        ("qbxstokes.__main__", "from qbxstokes.run import command as run"),
+        ("qbxstokes.cli.main", "from qbxstokes import __version__"),
     ],
 )
 def test_allowed_imports_pass(module: str, source: str) -> None:
@@ -188,7 +191,7 @@ def test_no_module_of_the_mathematics_loads_them_either() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["qbxstokes", "qbxstokes.config", "qbxstokes.io", "qbxstokes.app"]
+    "module", ["qbxstokes", "qbxstokes.case", "qbxstokes.io", "qbxstokes.run", "qbxstokes.cli"]
 )
 def test_slow_libraries_wait_until_they_are_needed(module: str) -> None:
     assert loaded(f"import {module}", LAZY) == ""

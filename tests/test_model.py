@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import pytest
 
-from qbxstokes.config.model import MISSING, Convert, Field, Invalid, Problem, Section
+from qbxstokes.case.model import MISSING, Convert, Field, Invalid, Problem, Section
 
 
 def half(value: Any) -> float:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.app.body import form_hydrodynamics
-from qbxstokes.app.plan import make_plan
-from qbxstokes.app.scenes import Scenes
 from qbxstokes.bie.accuracy import accurate_body
-from qbxstokes.config.load import load_case
+from qbxstokes.case.load import load_case
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
+from qbxstokes.run.plan import make_plan
+from qbxstokes.run.scenes import Scenes
+from qbxstokes.simulation.hydrodynamics import form_hydrodynamics
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from qbxstokes.app.cli import run_command
-from qbxstokes.app.pictures import drawings, picture_command
+from qbxstokes.cli.main import run_command
+from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import Result, ResultWriter, load
@@ -644,8 +644,8 @@ def test_pictures_need_no_pyplot_and_leave_the_settings_alone(path: Path, tmp_pa
     script = f"""
 import sys
 from matplotlib import rcParams
-from qbxstokes.app.cli import run_command
-from qbxstokes.app.pictures import picture_command
+from qbxstokes.cli.main import run_command
+from qbxstokes.cli.pictures import picture_command
 settings = {{key: rcParams[key] for key in rcParams if key != "backend"}}
 picture_command("plot", [{str(path)!r}, "--kind", "constant", "--output", {str(tmp_path)!r}])
 assert settings == {{key: rcParams[key] for key in rcParams if key != "backend"}}

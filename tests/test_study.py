@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from qbxstokes.app.cli import run_command
 from qbxstokes.app.study import MAKERS, simulate
 from qbxstokes.bie.exact import exact_model
+from qbxstokes.cli.main import run_command
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
@@ -366,7 +366,7 @@ def noting(figure, path, *rest):
         log.write(path.name + chr(10))
     return save(figure, path, *rest)
 style.save = noting
-from qbxstokes.app.cli import run_command
+from qbxstokes.cli.main import run_command
 sys.exit(run_command(sys.argv[1:]))
 """
 

@@ -18,16 +18,16 @@ import numpy as np
 import pytest
 
 import qbxstokes
-from qbxstokes.app.cli import run_command
-from qbxstokes.app.scenes import Scenes
-from qbxstokes.config.load import load_case
-from qbxstokes.config.sweep import column_name, parse_key
+from qbxstokes.case.load import load_case
+from qbxstokes.case.sweep import column_name, parse_key
+from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS
 from qbxstokes.io.sweep import parts_of, read_journals, runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.reference import inertial, jeffery
+from qbxstokes.run.scenes import Scenes
 
 CASE: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},
@@ -384,7 +384,7 @@ def test_events_of_single_motions_are_refused(
 def python(folder: Path, statements: str) -> subprocess.CompletedProcess[str]:
     """A process of its own that runs statements with `run_command` and exits with `status`."""
     script = (
-        f"import sys; from qbxstokes.app.cli import run_command\n{statements}\nsys.exit(status)"
+        f"import sys; from qbxstokes.cli.main import run_command\n{statements}\nsys.exit(status)"
     )
     root = str(Path(qbxstokes.__file__).parents[1])
     return subprocess.run(
@@ -485,8 +485,8 @@ def test_failures_are_told_and_mended(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    from qbxstokes.app import block
     from qbxstokes.errors import ConvergenceError
+    from qbxstokes.run import block
 
     path = write({"body.stokes_number": [1, 2, 3]}, RANDOM, sweep={"block": 7})
     integrate = block.integrate

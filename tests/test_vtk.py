@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from qbxstokes.app.cli import run_command
+from qbxstokes.cli.main import run_command
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
 from qbxstokes.io.results import load

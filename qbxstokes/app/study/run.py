@@ -17,13 +17,6 @@ from signal import SIGINT
 from typing import Any
 
 from qbxstokes import __version__
-from qbxstokes.app import handout
-from qbxstokes.app.clock import Clock
-from qbxstokes.app.handout import HandOut
-from qbxstokes.app.interrupt import Interruption, interrupted
-from qbxstokes.app.parallel import agree, on_root
-from qbxstokes.app.progress import Progress
-from qbxstokes.app.report import WIDTH, duration, headline, render, tell_plan
 from qbxstokes.app.tabulate import (
     TablesPlan,
     explain_tables,
@@ -31,11 +24,18 @@ from qbxstokes.app.tabulate import (
     json_table,
     made_by,
 )
-from qbxstokes.config.load import LoadedCase
+from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.io.sweep import parts_of
 from qbxstokes.io.tables import Table
+from qbxstokes.run import handout
+from qbxstokes.run.clock import Clock
+from qbxstokes.run.handout import HandOut
+from qbxstokes.run.interrupt import Interruption, interrupted
+from qbxstokes.run.parallel import agree, on_root
+from qbxstokes.run.progress import Progress
+from qbxstokes.run.report import WIDTH, duration, headline, render, tell_plan
 
 Block = tuple[str, dict[str, Any]]  # study, parameters
 _HEAD = "study.json"
@@ -69,7 +69,7 @@ def run_studies(
 
     if tell_plan(comm, loaded, options, text, facts):
         return 0
-    from qbxstokes.app.provenance import start_petsc
+    from qbxstokes.run.provenance import start_petsc
 
     _, record = start_petsc(comm, loaded, petsc, clock)
     folder = on_root(comm, lambda: _folder(loaded, plan, blocks, options))

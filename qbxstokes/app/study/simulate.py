@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.app.quantities import quantities
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.flows import build_flow
@@ -31,6 +30,7 @@ from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.reference import heavy
+from qbxstokes.run.quantities import quantities
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,33 @@
+"""Section `output`: where the results go."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from qbxstokes.case.base import Boolean, Text, to_text
+from qbxstokes.case.model import Convert, Field, Problem, Section
+
+
+def _path(value: Any) -> str:
+    name = to_text(value)
+    if name.endswith("/"):
+        raise Problem("names a directory", "a file name such as result.h5")
+    return name
+
+
+class Output(Section):
+    """The result file."""
+
+    file: Annotated[str, Convert(_path), Field(min_length=1, max_length=4000)] | None = Field(
+        default=None,
+        description="result file, relative to the working directory; unset: the case's name + .h5",
+        examples=["result.h5"],
+    )
+    overwrite: Boolean = Field(
+        default=False, description="replace an existing result; otherwise a free name is numbered"
+    )
+    fields: Annotated[tuple[Text, ...], Field(min_length=1)] | None = Field(
+        default=None,
+        description="quantities to store besides time; unset: all",
+        examples=[["position", "axis"]],
+    )

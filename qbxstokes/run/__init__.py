@@ -1,0 +1,1 @@
+"""Runs, sweeps and fields on ranks and to files: where MPI, files and PETSc meet."""

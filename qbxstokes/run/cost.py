@@ -1,0 +1,188 @@
+"""What a sweep costs: time, memory, and how it scales with the number of ranks.
+
+    T(P) = models/min(P, bodies) + (integration + output)/P + hand-out + last block/2 + layout
+
+with integration = blocks x fixed + trajectories x right-hand sides x time of one. Right-hand sides
+are those that the integrator itself forecasts (motion/forecast.py) for the first trajectory of a
+scene with the smallest Stokes number of its block, and a step more for each sample; steps of
+implicit methods count as so many. Resistances are those of the closed forms.
+One rank lays the file out and serves the hand-out, to one rank after another. Start-up is left out,
+and so is what a file system shared by many nodes adds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.reference import faxen
+from qbxstokes.run.scenes import BLOCK_BYTES, STOKES, Scene, Scenes
+
+# Bodies from which on some of a block need shorter steps than its first.
+SEVERAL = 8
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Processor times on one core (s), and steps over those that are forecast.
+
+    rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
+    flow (constant or linear, quadratic, cubic), and in any other flow; centred: in a linear flow in
+    which no body leaves its place. call: per right-hand side of
+    a block, whatever it holds. steps_*: of a block of several bodies over the forecast for one.
+    sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
+    integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
+    another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
+    """
+
+    rhs_massless_centred: float = 4.5e-8
+    rhs_massless_linear: float = 6e-8
+    rhs_massless_quadratic: float = 1.0e-7
+    rhs_massless_cubic: float = 1.3e-7
+    rhs_inertial_centred: float = 6e-8
+    rhs_inertial_linear: float = 1.3e-7
+    rhs_inertial_quadratic: float = 1.5e-7
+    rhs_inertial_cubic: float = 1.6e-7
+    rhs_general: float = 5e-5
+    call: float = 3e-6
+    steps_massless: float = 2.0
+    steps_inertial: float = 1.6
+    sample: float = 1e-6
+    block_sample: float = 5e-5
+    block: float = 5e-3
+    stored_byte: float = 1.5e-9
+    handout: float = 3e-6
+    layout: float = 1.2e-6
+    model: float = 0.2
+
+    def rhs(self, inertial: bool, degree: int | None, centred: bool = False) -> float:
+        """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
+        if degree is None or degree > 3:
+            return self.rhs_general
+        kind = "inertial" if inertial else "massless"
+        linear = "centred" if centred else "linear"
+        name = (linear, linear, "quadratic", "cubic")[degree]
+        return float(getattr(self, f"rhs_{kind}_{name}"))
+
+    def steps(self, inertial: bool) -> float:
+        """Steps of a block of several bodies over the forecast for one."""
+        return self.steps_inertial if inertial else self.steps_massless
+
+
+# On a 2 GHz Intel Xeon (Sapphire Rapids); the benchmark table `sweep_constants` measures them.
+XEON = Constants()
+BASE_MEMORY = 220e6
+# Start of MPI and PETSc, imports and loading of compiled kernels, which the model leaves out.
+START_SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Seconds of the parts, and bytes of memory per rank."""
+
+    models: float
+    bodies: int
+    integration: float
+    output: float
+    handout: float
+    last_block: float
+    layout: float
+    memory: float
+
+    @property
+    def work(self) -> float:
+        """Seconds of one rank alone."""
+        return self.seconds(1)
+
+    def seconds(self, ranks: int) -> float:
+        """Wall time on a number of ranks."""
+        return sum(self.parts(ranks).values())
+
+    def parts(self, ranks: int) -> dict[str, float]:
+        """Seconds on a number of ranks by what takes them."""
+        return {
+            "models": self.models / min(ranks, max(self.bodies, 1)),
+            "integration": self.integration / ranks,
+            "output": self.output / ranks,
+            "hand-out": self.handout,
+            "last block": 0.0 if ranks == 1 else 0.5 * self.last_block,
+            "layout": self.layout,
+        }
+
+
+def scene_weight(scenes: Scenes, number: int, constants: Constants = XEON) -> float:
+    """Right-hand sides that one trajectory of a scene will take."""
+    from qbxstokes.motion.forecast import STAGES, Forecast
+
+    scene, members = scenes.scene(number), scenes.first_members(number)
+    case, plan = scene.loaded.case, scene.plan
+    assert case.time is not None
+    values = scenes.space.values(members)
+    stokes_number = float(np.min(values.get(STOKES, case.body.stokes_number)))
+    equations, start = _equations(scene, stokes_number)
+    forecast = Forecast(equations, 0.0, start, float(plan.times[-1]), case.time.tolerance)
+    method = forecast.method
+    kind = "rk" if method in ("5dp", "8vr") else method
+    crowd = constants.steps(stokes_number > 0) if len(members) >= SEVERAL else 1.0
+    # The other formulas have an interpolant as good as their steps.
+    sampled = STAGES * len(plan.times) if method == "8vr" else 0
+    return crowd * forecast.evaluations(kind) + sampled
+
+
+def _equations(scene: Scene, stokes_number: float) -> tuple[RigidBodyEquations, np.ndarray]:
+    """Equations with resistances in closed form and the flow about the start; the start (1, n)."""
+    case, plan = scene.loaded.case, scene.plan
+    k, flow = case.body.aspect_ratio, scene.loaded.flow
+    linear, quadratic, cubic = faxen.body_coefficients(k)
+    law = FaxenCoefficients(linear, quadratic, cubic)
+    model = BodyModel(k, Resistance(*faxen.resistance(k)), law, None, 0.0)
+    near = flow.polynomial or PolynomialFlow(
+        flow.velocity(plan.position), flow.gradient(plan.position), origin=plan.position
+    )
+    equations = RigidBodyEquations(model, near, stokes_number)
+    return equations, equations.initial_state(plan.position, plan.quaternion)
+
+
+def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:
+    """Right-hand sides per trajectory of every scene; those of a sample where there are many."""
+    from qbxstokes.errors import QbxStokesError
+
+    known = np.unique(np.linspace(0, scenes.size - 1, min(scenes.size, most)).astype(int))
+    values = []
+    for number in known.tolist():
+        try:
+            values.append(scene_weight(scenes, number, constants))
+        except QbxStokesError:  # told again, with its trajectories, when its turn comes
+            values.append(1.0)
+    return np.asarray(np.interp(np.arange(scenes.size), known, values))
+
+
+def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
+    """Integration time of every block."""
+    case, flow = scenes.loaded.case, scenes.loaded.flow
+    seconds = constants.rhs(case.body.stokes_number > 0, flow.degree, scenes.centred)
+    calls = weights(scenes, constants)[scenes.scene_of_block()]
+    fixed = constants.block + scenes.samples * constants.block_sample
+    return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + constants.call))
+
+
+def estimate(scenes: Scenes, row_bytes: int, constants: Constants = XEON) -> Estimate:
+    """Cost of the whole sweep."""
+    sizes, per_block = scenes.block_sizes(), block_seconds(scenes, constants)
+    n = scenes.space.size
+    bodies = len(scenes.bodies[1])
+    held = 8 * scenes.samples * int(sizes.max()) * 60
+    return Estimate(
+        models=bodies * constants.model,
+        bodies=bodies,
+        integration=float(per_block.sum()),
+        output=n * (row_bytes * constants.stored_byte + scenes.samples * constants.sample),
+        handout=scenes.blocks * constants.handout,
+        last_block=float(per_block.max()),
+        layout=n * constants.layout,
+        memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 24.0 * scenes.blocks,
+    )

@@ -1,0 +1,125 @@
+"""Run `task: field` from its plan to its summary, on all ranks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import ConvergenceError
+from qbxstokes.run.clock import Clock
+from qbxstokes.run.compilation import compilation_told
+from qbxstokes.run.field import FieldPlan, run_field
+from qbxstokes.run.plan import result_path
+from qbxstokes.run.report import (
+    Rows,
+    counted,
+    described_points,
+    duration,
+    error_text,
+    field_errors,
+    render,
+    tell_plan,
+    vector,
+)
+from qbxstokes.run.summary import flow_text, shape_text
+
+
+def run_field_case(
+    comm: Any,
+    loaded: LoadedCase,
+    plan: FieldPlan,
+    options: argparse.Namespace,
+    petsc: Sequence[str],
+    clock: Clock,
+) -> int:
+    """Compute, write and tell; returns the exit status."""
+
+    def facts() -> dict[str, Any]:
+        return {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
+
+    if tell_plan(comm, loaded, options, lambda: explain_field(loaded, plan), facts):
+        return 0
+    from qbxstokes.petsc import session
+    from qbxstokes.run.provenance import start_petsc
+
+    PETSc, record = start_petsc(comm, loaded, petsc, clock)
+    with compilation_told(comm, not options.quiet):
+        summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
+    unused = session.unused_options(PETSc)
+    error = comm.bcast(summary.get("largest_error"))
+    if comm.rank == 0:
+        summary["unused_petsc_options"] = unused
+        if options.json:
+            from qbxstokes.run.report import plain
+
+            print(json.dumps(plain(summary), indent=2))
+        elif not options.quiet:
+            print(field_summary(loaded, summary))
+        for name in unused:
+            print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
+    limit = loaded.case.compare.tolerance
+    if limit is not None and not error <= limit:
+        if comm.rank == 0:
+            text = f"largest error {error:.1e} exceeds compare.tolerance {limit:g}"
+            print(f"qbxstokes: {text}", file=sys.stderr)
+        return ConvergenceError.exit_status
+    return 0
+
+
+def _scene(loaded: LoadedCase) -> Rows:
+    assert loaded.case.field is not None
+    yield "body", f"{shape_text(loaded.case)}, {loaded.case.field.body}"
+    yield "flow", flow_text(loaded)
+
+
+def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
+    """What is computed, what is skipped, and where the result goes."""
+    return render(
+        f"Plan: {loaded.case.title or loaded.case.task}",
+        str(loaded.path),
+        {
+            "Scene": _scene(loaded),
+            "Needs": [("", f"- {text}") for text in plan.needs],
+            "Skips": [("", f"- {text}") for text in plan.skips],
+            "Writes": [("", str(plan.output))],
+        },
+    )
+
+
+def field_summary(loaded: LoadedCase, summary: dict[str, Any]) -> str:
+    """What was computed, its errors, times, and the files."""
+    hydro, points, times = summary["hydrodynamics"], summary["points"], summary["wall_times"]
+    vectors = ("velocity", "angular_velocity", "force", "torque")
+    scales = summary["scales"]
+    spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
+    files = [("file", summary["result"])] + [("", name) for name in summary["files"]]
+    asked = result_path(loaded)
+    if Path(summary["result"]) != asked:
+        files.append(("", f"({asked} exists and was kept; --overwrite replaces it)"))
+    return render(
+        loaded.case.title or f"Task {loaded.case.task}",
+        str(loaded.path),
+        {
+            "Scene": _scene(loaded),
+            "Solved": [
+                (
+                    "integral equation",
+                    f"{hydro['n_theta']} x {hydro['n_phi']} nodes, "
+                    f"{counted(hydro['solves'], 'solve')}, "
+                    f"{counted(hydro['iterations'], 'iteration')}, true residual <= "
+                    f"{error_text(hydro['true_residual'])}",
+                ),
+                ("table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"),
+                ("points", described_points(points)),
+                *((name, vector(summary[name], scales[name])) for name in vectors),
+            ],
+            "Errors": field_errors(summary["errors"]),
+            "Times": [("total", duration(times["total"])), ("parts", spent)],
+            "Result": files,
+        },
+    )

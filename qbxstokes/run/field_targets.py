@@ -1,0 +1,189 @@
+"""Points at which a field is wanted: grids by formula, block by block, and lists from files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.geometry.spheroid import Spheroid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Targets:
+    """A set of points: its name, frame, shape of the grid (n,) to (n1, n2, n3), and points.
+
+    block(begin, end) gives the points (end - begin, 3) in the frame of the set, last index of the
+    grid fastest. parameters: what describes the grid in the result.
+    """
+
+    name: str
+    frame: str
+    shape: tuple[int, ...]
+    block: Callable[[int, int], Array]
+    parameters: dict[str, Array]
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return int(np.prod(self.shape))
+
+    def in_space(self, begin: int, end: int, position: Array, rotation: Array) -> Array:
+        """Points (end - begin, 3) in space for a body at the position with the rotation (3, 3)."""
+        points = self.block(begin, end)
+        if self.frame == "space":
+            return points
+        return (points @ rotation.T if self.frame == "body" else points) + position
+
+
+def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
+    """The sets of points that the section asks for; raises CaseError for a bad file."""
+    found = []
+    if section.plane is not None:
+        found.append(plane_targets(section.plane))
+    if section.box is not None:
+        found.append(_box(section.box))
+    if section.shells is not None:
+        found.append(_shells(section.shells, Spheroid(loaded.case.body.aspect_ratio)))
+    if section.points is not None:
+        found.append(_listed(loaded, section.points))
+    return found
+
+
+def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
+    """Indices of the stored instants at which a motion wants its field; raises CaseError."""
+    section = loaded.case.field
+    assert section is not None
+    if section.every is not None:
+        return list(range(0, len(times), section.every))
+    if section.at is None:
+        return [len(times) - 1]
+    found = []
+    for number, instant in enumerate(section.at):
+        index = int(np.abs(times - instant).argmin())
+        if abs(times[index] - instant) > 1e-9 * max(1.0, abs(times[-1])):
+            raise loaded.error(
+                ("field", "at", number),
+                f"{instant:g} is not a stored instant",
+                f"the nearest one is {times[index]:.17g}; time.at stores any",
+            )
+        found.append(index)
+    return found
+
+
+def plane_axes(plane: Plane) -> tuple[Array, Array]:
+    """Orthonormal directions of the plane's coordinates."""
+    first = np.array(plane.first) / np.linalg.norm(plane.first)
+    second = np.array(plane.second) - first * (first @ plane.second)
+    return first, second / np.linalg.norm(second)
+
+
+def plane_targets(plane: Plane) -> Targets:
+    """Points of a plane, the second coordinate fastest."""
+    first, second = plane_axes(plane)
+    origin = np.array(plane.origin)
+    a = np.linspace(plane.extent[0], plane.extent[1], plane.shape[0])
+    b = np.linspace(plane.extent[2], plane.extent[3], plane.shape[1])
+
+    def block(begin: int, end: int) -> Array:
+        i, j = np.unravel_index(np.arange(begin, end), plane.shape)
+        return origin + a[i][:, None] * first + b[j][:, None] * second
+
+    parameters = {
+        "first_coordinate": a,
+        "second_coordinate": b,
+        "origin": origin,
+        "first": first,
+        "second": second,
+    }
+    return Targets("plane", plane.frame, plane.shape, block, parameters)
+
+
+def _box(box: Box) -> Targets:
+    axes = [np.linspace(*ends) for ends in zip(box.lower, box.upper, box.shape, strict=True)]
+
+    def block(begin: int, end: int) -> Array:
+        index = np.unravel_index(np.arange(begin, end), box.shape)
+        return np.stack([axis[i] for axis, i in zip(axes, index, strict=True)], axis=-1)
+
+    names = ("x1", "x2", "x3")
+    return Targets("box", box.frame, box.shape, block, dict(zip(names, axes, strict=True)))
+
+
+def surface_angles(shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Polar angles from pole to pole and azimuths once around, without the last."""
+    n_theta, n_phi = shape
+    theta = np.linspace(0.0, np.pi, n_theta) if n_theta > 1 else np.array([0.5 * np.pi])
+    return theta, 2.0 * np.pi * np.arange(n_phi) / n_phi
+
+
+def _shells(shells: Shells, spheroid: Spheroid) -> Targets:
+    theta, phi = surface_angles(shells.shape)
+    distances = np.array(shells.distances)
+    shape = (len(distances), *shells.shape)
+
+    def block(begin: int, end: int) -> Array:
+        d, i, j = np.unravel_index(np.arange(begin, end), shape)
+        foot, normal = spheroid.surface(theta[i], phi[j]), spheroid.normal(theta[i], phi[j])
+        return foot + distances[d][:, None] * normal
+
+    parameters = {"distance": distances, "theta": theta, "phi": phi}
+    return Targets("shells", "body", shape, block, parameters)
+
+
+def _listed(loaded: LoadedCase, section: Points) -> Targets:
+    path = loaded.path.parent / section.file
+    key = ("field", "points", "file")
+    try:
+        if path.suffix == ".npy":
+            # Not read as a whole: a list may be larger than memory.
+            points = np.load(path, mmap_mode="r", allow_pickle=False)
+        else:
+            points = _read_csv(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise loaded.error(key, f"{path}: cannot be read ({reason})", "a CSV or NPY file") from None
+    except ValueError as error:
+        raise loaded.error(
+            key, f"{path}: {error}", "three numbers a line, or an NPY array"
+        ) from None
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        raise loaded.error(
+            key, f"{path}: holds {points.dtype} of shape {points.shape}", "real numbers (N, 3)"
+        )
+    if not len(points):
+        raise loaded.error(key, f"{path}: holds no point", "three numbers a line")
+    return Targets(
+        "points",
+        section.frame,
+        (len(points),),
+        lambda begin, end: np.asarray(points[begin:end], dtype=float),
+        {},
+    )
+
+
+def _read_csv(path: Path) -> Array:
+    """Three numbers a line, separated by commas or blanks; a first line of words is skipped."""
+    rows: list[list[float]] = []
+    with path.open(encoding="utf-8-sig") as stream:
+        for number, line in enumerate(stream, 1):
+            words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+            if not words:
+                continue
+            try:
+                row = [float(word) for word in words]
+            except ValueError:
+                if not rows and number == 1:
+                    continue
+                raise ValueError(f"line {number}: {line.strip()[:40]!r} is no number") from None
+            if len(row) != 3:
+                raise ValueError(f"line {number}: {len(row)} numbers")
+            rows.append(row)
+    return np.array(rows, dtype=float).reshape(-1, 3)

@@ -1,0 +1,85 @@
+"""How far a long run is: a bar on a terminal, or whole lines at intervals; standard error, rank 0.
+
+Lines are for files and for the output of several processes, which MPI mixes line by line.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, Literal
+
+from qbxstokes.run.report import duration
+
+Style = Literal["auto", "bar", "line", "none"]
+STYLES = ("auto", "bar", "line", "none")
+
+# A bar is drawn again at most this often, a line at growing intervals, so that a log stays short.
+_BAR_INTERVAL = 0.1
+_LINE_INTERVALS = (2.0, 60.0)
+_GROWTH = 1.3
+
+
+class Progress:
+    """Tells how many of `total` are done; `update` may be called as often as one likes."""
+
+    def __init__(
+        self, total: int, style: Style = "auto", ranks: int = 1, unit: str = "trajectories"
+    ) -> None:
+        if style == "auto":
+            style = "bar" if ranks == 1 and sys.stderr.isatty() else "line"
+        self._total, self._style, self._unit = total, style, unit
+        self._begin = self._told = time.monotonic()
+        self._interval = _LINE_INTERVALS[0] if style == "line" else _BAR_INTERVAL
+        self._bar: Any = None
+        self._last = (0, 0)
+        if style == "bar":
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, unit="", unit_scale=True, desc=unit, file=sys.stderr)
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to tell something new."""
+        return self._style != "none" and time.monotonic() - self._told >= self._interval
+
+    def update(self, done: int, failed: int = 0) -> None:
+        """Tell the state, if the last time is long enough ago."""
+        self._last = (done, failed)
+        if self.due:
+            self._tell(done, failed)
+
+    def close(self, done: int | None = None, failed: int | None = None) -> None:
+        """Tell the last state."""
+        last = (
+            self._last[0] if done is None else done,
+            self._last[1] if failed is None else failed,
+        )
+        if self._style != "none":
+            self._tell(*last)
+        if self._bar is not None:
+            self._bar.close()
+
+    def _tell(self, done: int, failed: int) -> None:
+        self._told = time.monotonic()
+        if self._bar is not None:
+            self._bar.n = done + failed
+            if failed:
+                self._bar.set_postfix_str(f"{failed} failed", refresh=False)
+            self._bar.refresh()
+            return
+        spent = self._told - self._begin
+        finished = done + failed
+        rate = finished / spent if spent > 0 else 0.0
+        left = (self._total - finished) / rate if rate > 0 else float("inf")
+        parts = [f"{finished} of {self._total} {self._unit} ({finished / max(self._total, 1):.1%})"]
+        if rate > 0:
+            parts.append(f"{rate:.4g}/s")
+        if finished < self._total:
+            parts.append(f"{duration(left)} left" if rate > 0 else "none finished yet")
+        else:
+            parts.append(f"in {duration(spent)}")
+        if failed:
+            parts.append(f"{failed} failed")
+        print(f"qbxstokes: {', '.join(parts)}", file=sys.stderr, flush=True)
+        self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])

@@ -1,0 +1,198 @@
+"""What a person reads: summaries, plans and descriptions of results, 80 columns wide."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qbxstokes.io.results import Result
+
+if TYPE_CHECKING:
+    import argparse
+
+    from qbxstokes.case.load import LoadedCase
+
+WIDTH = 80
+_LABEL = 22  # width of the column of labels, unless one of them is wider
+_WIDEST = 44
+_ROUNDING = 1e-13  # components below this share of the largest are rounding
+
+Rows = Iterable[tuple[str, str]]
+
+
+def tell_plan(
+    comm: Any,
+    loaded: LoadedCase,
+    options: argparse.Namespace,
+    text: Callable[[], str],
+    facts: Callable[[], dict[str, Any]],
+) -> bool:
+    """Print the plan, on rank 0 and where it is asked for; True if no more is (`--dry-run`)."""
+    if comm.rank == 0:
+        if not (options.quiet or options.json) and (options.explain or options.dry_run):
+            print(text())
+        elif options.json and options.dry_run:
+            print(json.dumps({"case": str(loaded.path), "plan": facts()}, indent=2))
+    return bool(options.dry_run)
+
+
+def headline(title: str, name: str) -> str:
+    """A title with the file's name at the right edge, or below it where both do not fit."""
+    gap = WIDTH - len(title) - len(name)
+    return f"{title}{' ' * gap}{name}" if gap >= 2 else f"{title}\n{name}"
+
+
+def block(heading: str, rows: Rows) -> str:
+    """A heading and its rows: label, then text wrapped beside it; nothing if there are no rows."""
+    rows = list(rows)
+    column = min(_WIDEST, max([_LABEL, *(len(label) + 2 for label, _ in rows)]))
+    lines = []
+    for label, text in rows:
+        lines += textwrap.wrap(
+            text,
+            WIDTH,
+            initial_indent=f"  {label:{column - 2}}  " if label else "  ",
+            subsequent_indent=" " * (2 + column) if label else "    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return "\n".join([heading, *lines]) if lines else ""
+
+
+def render(title: str, name: str, blocks: Mapping[str, Rows]) -> str:
+    """The headline and all blocks that hold something."""
+    parts = [block(heading, rows) for heading, rows in blocks.items()]
+    return "\n".join([headline(title, name), *(part for part in parts if part)])
+
+
+def quantity(value: float) -> str:
+    """A number as people read it."""
+    return f"{value:.6g}"
+
+
+def vector(values: Iterable[float], scale: float = 0.0) -> str:
+    """Components as people read them; those that are rounding are 0.
+
+    scale: size of what the components were computed from, if it exceeds their own.
+    """
+    parts = [float(value) for value in values]
+    least = _ROUNDING * max([scale, *map(abs, parts)])
+    return ", ".join(quantity(part if abs(part) > least else 0.0) for part in parts)
+
+
+def described_points(points: Mapping[str, int]) -> str:
+    """How many points of a field were evaluated in which way."""
+    return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
+
+
+def field_errors(errors: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Rows on the errors of a field, with what each of them is."""
+    what = {
+        "no slip": "largest slip on the surface, which bounds the error of the velocity",
+        "table against QBX": "two evaluations at points from the surface to far away",
+    }
+    return [(name, f"{error_text(value):9}{what[name]}") for name, value in errors.items()]
+
+
+def error_text(value: float) -> str:
+    """An error: two digits and an exponent, or 0."""
+    return f"{value:.1e}" if value else "0"
+
+
+def counted(count: float, noun: str, plural: str = "") -> str:
+    """'1 rank', '2 ranks', '0.5 periods'; the plural ends in s unless given."""
+    number = str(count) if isinstance(count, int) else quantity(count)
+    return f"{number} {noun if number == '1' else plural or noun + 's'}"
+
+
+def duration(seconds: float) -> str:
+    """A time span in ms, s, min or h."""
+    for limit, scale, unit in ((1.0, 1e-3, "ms"), (120.0, 1.0, "s"), (7200.0, 60.0, "min")):
+        if seconds < limit:
+            return f"{seconds / scale:.3g} {unit}"
+    return f"{seconds / 3600.0:.3g} h"
+
+
+def size(count: float) -> str:
+    """A number of bytes."""
+    for limit, scale, unit in ((1e3, 1.0, "B"), (1e6, 1e3, "kB"), (1e9, 1e6, "MB")):
+        if count < limit:
+            return f"{count / scale:.3g} {unit}"
+    return f"{count / 1e9:.3g} GB"
+
+
+def plain(value: Any) -> Any:
+    """`value` with arrays and NumPy numbers as what JSON knows; infinities as text."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return value
+
+
+def to_json(result: Result) -> str:
+    """Everything about a result but its arrays."""
+    return json.dumps(
+        {
+            "file": str(result.path),
+            "task": result.task,
+            "format_version": result.format_version,
+            "datasets": {
+                name: {"shape": list(data.shape), **plain(result.attributes[name])}
+                for name, data in result.arrays.items()
+            },
+            "summary": plain(result.summary),
+            "provenance": plain(result.provenance),
+        },
+        indent=2,
+    )
+
+
+def describe_result(result: Result) -> str:
+    """What a result file holds and how it was made."""
+    made = result.provenance
+    datasets = [
+        (
+            f"{name} {'x'.join(map(str, data.shape))}",
+            f"{result.attributes[name].get('description', '')}"
+            f" [{result.attributes[name].get('units', '')}]",
+        )
+        for name, data in result.arrays.items()
+    ]
+    simple = (str, int, float)
+    blocks: dict[str, Rows] = {
+        "Holds": datasets,
+        "Summary": list(_leaves(result.summary)),
+        "Made by": [
+            (key, str(value))
+            for key, value in made.items()
+            if isinstance(value, simple) and "\n" not in str(value) and len(str(value)) < 300
+        ],
+    }
+    text = render(made.get("title") or f"Result of task {result.task}", str(result.path), blocks)
+    if "case" in made:
+        text += "\nCase\n" + textwrap.indent(str(made["case"]).rstrip(), "  ")
+    return text
+
+
+def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+    """Dotted name and text of every value in nested dictionaries."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif isinstance(value, float):
+            yield prefix + key, quantity(value)
+        elif isinstance(value, list):
+            yield prefix + key, "; ".join(map(str, value)) or "none"
+        elif value is not None:
+            yield prefix + key, str(value)

@@ -1,0 +1,276 @@
+"""A sweep cut into scenes and blocks, the same way whatever the number of ranks.
+
+A scene is a set of trajectories that one integration can hold: same body, flow, instants and
+tolerance, and Stokes numbers of one decade (like cost). Within a scene trajectories are cut, in
+the order of their numbers, into blocks. Scenes and blocks are numbered and made when they are
+asked for; nothing here grows with the number of trajectories but a few numbers per block.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.load import LoadedCase, from_document
+from qbxstokes.case.sweep import Column, Key
+from qbxstokes.run.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
+
+Indices = NDArray[np.int64]
+
+STOKES: Key = ("body", "stokes_number")
+_POSITION: Key = ("start", "position")
+_MOVING = {_POSITION, ("start", "velocity")}
+_PUSHING = {"forces", "constraints"}
+# Sections that a sweep has no use for, and what it has in their place.
+_SINGLE = {
+    "events": "a sweep takes periods and averages from the samples; leave it out",
+    "checkpoint": "a sweep keeps every finished block; leave it out",
+    "field": "draw the field of one trajectory as a motion of its own",
+}
+# What one block may hold in memory while its quantities are computed (bytes).
+BLOCK_BYTES = 64 * 2**20
+# Numbers held per sample of a trajectory: its state and the quantities, with copies under way.
+_NUMBERS_PER_SAMPLE = 100
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the trajectories of one scene share: a case (of its first trajectory) and its plan."""
+
+    number: int
+    loaded: LoadedCase
+    plan: Plan
+
+
+@dataclass(frozen=True)
+class Block:
+    """Trajectories integrated together."""
+
+    number: int
+    scene: int
+    index: Indices
+
+
+class Scenes:
+    """All scenes and blocks of a sweep."""
+
+    def __init__(self, loaded: LoadedCase) -> None:
+        assert loaded.space is not None
+        assert loaded.case.sweep is not None
+        assert loaded.case.time is not None
+        self.loaded, self.space = loaded, loaded.space
+        time = loaded.case.time
+        for name, right in _SINGLE.items():
+            if getattr(loaded.case, name) != type(loaded.case).model_fields[name].default:
+                raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
+        self.samples = len(time.at) if time.at is not None else time.samples
+        section = loaded.case.sweep
+        most = BLOCK_BYTES // (8 * _NUMBERS_PER_SAMPLE * self.samples)
+        self.block_size = max(1, min(section.block, most))
+        self._latest: Scene | None = None
+        self._classes = [self._classes_of(axis) for axis in range(len(self.space.axes))]
+        self.shape = tuple(len(classes) for classes in self._classes)
+
+    @property
+    def size(self) -> int:
+        """Number of scenes."""
+        return math.prod(self.shape)
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self._first_block[-1])
+
+    @cached_property
+    def sizes(self) -> Indices:
+        """Trajectories per scene."""
+        sizes = np.ones((), dtype=np.int64)
+        for classes in self._classes:
+            sizes = np.multiply.outer(sizes, [len(points) for points in classes])
+        return sizes.ravel()
+
+    @cached_property
+    def _first_block(self) -> Indices:
+        """Number of the first block of each scene, and of all blocks at the end."""
+        return np.concatenate([[0], np.cumsum(-(-self.sizes // self.block_size))])
+
+    def block(self, number: int) -> Block:
+        """A block by its number, its trajectories in increasing order."""
+        scene = int(np.searchsorted(self._first_block, number, side="right")) - 1
+        start = (number - int(self._first_block[scene])) * self.block_size
+        stop = min(start + self.block_size, int(self.sizes[scene]))
+        return Block(number, scene, self._members(scene, start, stop))
+
+    def block_sizes(self) -> Indices:
+        """Trajectories per block."""
+        counts = np.diff(self._first_block)
+        sizes = np.full(self.blocks, self.block_size, dtype=np.int64)
+        sizes[self._first_block[1:] - 1] = self.sizes - (counts - 1) * self.block_size
+        return sizes
+
+    def scene_of_block(self) -> Indices:
+        """Scene of every block."""
+        return np.repeat(np.arange(self.size), np.diff(self._first_block))
+
+    def _members(self, scene: int, start: int, stop: int) -> Indices:
+        """Numbers of the trajectories [start, stop) of a scene."""
+        chosen = [
+            classes[place] for classes, place in zip(self._classes, self._place(scene), strict=True)
+        ]
+        local = np.unravel_index(np.arange(start, stop), tuple(len(points) for points in chosen))
+        points = tuple(
+            np.asarray(list_of[where]) for list_of, where in zip(chosen, local, strict=True)
+        )
+        return np.asarray(np.ravel_multi_index(points, self.space.shape), dtype=np.int64)
+
+    def _place(self, scene: int) -> tuple[int, ...]:
+        return tuple(int(i) for i in np.unravel_index(scene, self.shape))
+
+    def first_members(self, scene: int) -> Indices:
+        """Numbers of the trajectories of a scene's first block."""
+        return self._members(scene, 0, min(self.block_size, int(self.sizes[scene])))
+
+    def first_points(self, scene: int) -> list[int]:
+        """Point of every axis at the first trajectory of a scene."""
+        return [
+            int(classes[place][0])
+            for classes, place in zip(self._classes, self._place(scene), strict=True)
+        ]
+
+    def scene(self, number: int) -> Scene:
+        """A scene by its number; raises QbxStokesError where the case cannot be computed."""
+        if self._latest is not None and self._latest.number == number:
+            return self._latest
+        data = self.space.assign(self.loaded.document.data, self.first_points(number))
+        document = replace(self.loaded.document, data=data)
+        loaded = from_document(document, self.loaded.path)
+        self._latest = Scene(number, loaded, make_plan(loaded, pushed=self._pushed))
+        return self._latest
+
+    @property
+    def common_times(self) -> NDArray[np.float64] | None:
+        """The instants of all trajectories, None where scenes have their own."""
+        time = self.loaded.case.time
+        assert time is not None
+        changing = {"time"} if time.periods is None else {"time", "flow", "start", "aspect_ratio"}
+        varies = any(
+            self._makes_scene(column) and changing & set(column.key[:2])
+            for _, column in self.space.columns
+        )
+        return None if varies else self.scene(0).plan.times
+
+    @cached_property
+    def _pushed(self) -> bool:
+        """Whether forces enter any motion of the sweep: its bodies serve every Stokes number."""
+        columns = [column for _, column in self.space.columns]
+        if any(column.key[0] in _PUSHING for column in columns):
+            return True
+        stokes = [c.take(np.arange(c.size)) for c in columns if c.key == STOKES]
+        if any(np.any(values) for values in stokes):
+            return True
+        return subject_to_forces(self.loaded.case)
+
+    @cached_property
+    def centred(self) -> bool:
+        """Whether no body leaves its place, as far as the first trajectory tells for all.
+
+        Blocks then integrate the rotation alone (`motion.centred`).
+        """
+        swept = {column.key[:2] for _, column in self.space.columns}
+        scene = self.scene(0)
+        case, flow = scene.loaded.case, scene.loaded.flow.polynomial
+        pushed = self.loaded.case.forces.given or self.loaded.case.constraints.given
+        moving = case.start.velocity != "with_flow" and any(case.start.velocity)
+        if pushed or moving or swept & _MOVING or {key[0] for key in swept} & _PUSHING:
+            return False
+        if flow is None or scene.plan.hydrodynamics != "table":
+            return False
+        return bool(flow.odd_about(scene.plan.position))
+
+    @property
+    def skips(self) -> tuple[str, ...]:
+        """What is left out and why, as far as the first trajectory tells for all."""
+        skips = tuple(text for text in self.scene(0).plan.skips if text not in (NO_AXIS, NO_ZEROS))
+        if self.centred:
+            skips += ("translation: no body leaves its place in a flow that is odd about it",)
+        return skips
+
+    # -- which values make a scene ------------------------------------------------------------
+
+    def _classes_of(self, axis: int) -> list[Any]:
+        """Points of one axis, grouped by what makes a scene."""
+        columns = [c for c in self.space.axes[axis].columns if self._makes_scene(c)]
+        size = self.space.axes[axis].size
+        if not columns:
+            return [range(size)] if size > 10**7 else [np.arange(size)]
+        points = np.arange(size)
+        labels = list(zip(*(self._labels(column, points) for column in columns), strict=True))
+        groups: dict[tuple[str, ...], list[int]] = {}
+        for point, label in enumerate(labels):
+            groups.setdefault(label, []).append(point)
+        return [np.array(members) for members in groups.values()]
+
+    @staticmethod
+    def _labels(column: Column, points: Indices) -> list[str]:
+        """What tells the values of a column apart as scenes."""
+        values = column.take(points)
+        if column.key == STOKES:
+            return ["" if v == 0 else str(math.floor(math.log10(v))) for v in values.tolist()]
+        return [json.dumps(value) for value in values.tolist()]
+
+    def _makes_scene(self, column: Column) -> bool:
+        """Whether trajectories with different values cannot be integrated together."""
+        if column.key[: len(_POSITION)] == _POSITION:
+            time = self.loaded.case.time
+            assert time is not None
+            return time.periods is not None and not self._uniform_gradient
+        return column.key[0] != "start"
+
+    @cached_property
+    def _uniform_gradient(self) -> bool:
+        """Whether Jeffery's period is the same everywhere in the flow."""
+        degree = self.loaded.flow.degree
+        words = any(c.key[0] == "flow" and not c.numeric for _, c in self.space.columns)
+        return degree is not None and degree <= 1 and not words
+
+    # -- bodies ---------------------------------------------------------------------------------
+
+    @cached_property
+    def bodies(self) -> tuple[Indices, list[int]]:
+        """Body of every scene, and a scene for each body.
+
+        Scenes with the same body share one operator: same shape, discretisation and kind of flow.
+        """
+        body_axes = []
+        for axis, classes in zip(self.space.axes, self._classes, strict=True):
+            columns = [c for c in axis.columns if _changes_body(c)]
+            first = np.array([int(points[0]) for points in classes])
+            rows = [self._labels(column, first) for column in columns]
+            names = [tuple(row) for row in zip(*rows, strict=True)] if rows else [()] * len(classes)
+            known: dict[tuple[str, ...], int] = {}
+            body_axes.append([known.setdefault(name, len(known)) for name in names])
+        counts = tuple(max(ids) + 1 for ids in body_axes)
+        grids = np.meshgrid(*[np.array(ids) for ids in body_axes], indexing="ij")
+        number = np.ravel_multi_index(tuple(grid.ravel() for grid in grids), counts)
+        _, representatives, body = np.unique(number, return_index=True, return_inverse=True)
+        return body, [int(i) for i in representatives]
+
+
+def _changes_body(column: Column) -> bool:
+    """Whether a column makes operators or functionals differ."""
+    if column.key[0] == "flow":
+        # The numbers of a named flow leave its kind (polynomial or not) as it is.
+        return not column.numeric
+    return column.key[:2] == ("body", "aspect_ratio") or column.key[0] == "hydrodynamics"
+
+
+def block_values(scenes: Scenes, block: Block) -> Mapping[Key, Any]:
+    """The swept values of a block's trajectories."""
+    return scenes.space.values(block.index)

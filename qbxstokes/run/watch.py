@@ -1,0 +1,124 @@
+"""From the section `events` to what watches the steps, and what it saw."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.flows.check import clearance
+from qbxstokes.geometry import rotation
+from qbxstokes.io.results import Field
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.events import (
+    Event,
+    Events,
+    Passage,
+    leaving,
+    meeting,
+    steady,
+    turning_point,
+)
+from qbxstokes.run.plan import Plan
+
+Array = NDArray[np.float64]
+
+_CLEARANCE = 0.05
+_XYZ = ("1", "2", "3")
+
+# Columns of the groups `events/NAME` of a result, in the order of `Events`' rows.
+COLUMNS: dict[str, Field] = {
+    "time": Field((), "tau", "", "instant of the event"),
+    "position": Field((3,), "c", "space", "centre of the body", _XYZ),
+    "axis": Field((3,), "1", "space", "symmetry axis D3", _XYZ),
+    "velocity": Field((3,), "c/tau", "space", "velocity of the centre", _XYZ),
+    "orbit_constant": Field((), "1", "", "orbit constant in the shear at the start of the motion"),
+}
+HALF_TURN_COLUMNS: dict[str, Field] = {
+    **COLUMNS,
+    "period": Field((), "tau", "", "time since the last half-turn but one"),
+    "drift": Field((3,), "c", "space", "displacement since the last half-turn but one", _XYZ),
+}
+
+
+def build_events(
+    loaded: LoadedCase, plan: Plan, equations: RigidBodyEquations, initial: Array
+) -> Events:
+    """The watch over a motion; raises CaseError where it would end before it starts."""
+    section, flow = loaded.case.events, loaded.flow
+    k = loaded.case.body.aspect_ratio
+    gradient = flow.gradient(plan.position)
+    passage = None
+    if section.half_turns and (plan.period is not None or section.plane is not None):
+        plane = None if section.plane is None else np.array(section.plane)
+        passage = Passage.of(gradient, k, plane)
+    scale = float(np.max(equations.time_rate(0.0, initial)))
+    events: list[Event] = [
+        turning_point(equations, name, scale) for name in dict.fromkeys(section.turning_points)
+    ]
+    if section.steady is not None:
+        events.append(steady(equations, section.steady, section.stop_when_steady))
+    row = initial[0].tolist()
+    if section.region is not None:
+        event = leaving(section.region.lower, section.region.upper)
+        if event.function(0.0, row) >= 0.0:
+            raise loaded.error("events.region", "does not hold start.position", "a larger region")
+        events.append(event)
+    if len(flow.singular_points):
+        there = float(
+            np.min(clearance(flow.singular_points, plan.position, _axis(plan.quaternion), k))
+        )
+        least = min(_CLEARANCE, 0.5 * there) if section.clearance is None else section.clearance
+        if there <= least:
+            raise loaded.error(
+                "events.clearance", f"is {least:g}, more than the {there:.3g} at the start"
+            )
+        events.append(meeting(flow.singular_points, k, least))
+    return Events(equations, passage, events, plan.frame if plan.frame.simple else None)
+
+
+def _axis(quaternion: Array) -> Array:
+    return rotation.axis(quaternion)
+
+
+def columns_of(name: str) -> dict[str, Field]:
+    """Columns of the events of one name."""
+    return HALF_TURN_COLUMNS if name == "half_turns" else COLUMNS
+
+
+def split_columns(rows: Array, columns: dict[str, Field]) -> dict[str, Array]:
+    """Rows (n, width) as an array per column."""
+    found, start = {}, 0
+    for name, field in columns.items():
+        width = math.prod(field.shape)
+        found[name] = rows[:, start : start + width].reshape(len(rows), *field.shape)
+        start += width
+    return found
+
+
+def events_summary(events: Events) -> dict[str, Any]:
+    """What was seen, in a few numbers."""
+    summary: dict[str, Any] = {"counts": dict(events.counts)}
+    if events.counts.get("half_turns", 0) >= 3:
+        first, last = events.first["half_turns"], events.last["half_turns"]
+        # Whole turns only: a body that drifts need not take the same time for both halves.
+        odd = (events.counts["half_turns"] - 1) % 2
+        turns = (events.counts["half_turns"] - 1) // 2
+        end = events.recent[0] if odd else events.recent[-1]
+        drift = [(b - a) / turns for a, b in zip(first[1:4], end[1:4], strict=True)]
+        summary |= {
+            "turns": turns,
+            "period": (end[0] - first[0]) / turns,
+            "last_period": last[11],
+            "orbit_constant_first": first[10],
+            "orbit_constant_last": last[10],
+            "drift_per_period": drift,
+        }
+    if "steady" in events.counts:
+        summary["steady_at"] = events.first["steady"][0]
+    if events.ended[0]:
+        summary |= {"ended_by": events.ended[0], "ended_because": events.ended[1]}
+    return summary

@@ -1,0 +1,1 @@
+"""The public door: bodies, flow, loads and integrator put together, without files."""
