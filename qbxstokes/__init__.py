@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
     from qbxstokes.io.results import load as load
-    from qbxstokes.run.calls import run as run
-    from qbxstokes.run.calls import sweep as sweep
+    from qbxstokes.runs.calls import run as run
+    from qbxstokes.runs.calls import sweep as sweep
     from qbxstokes.simulation.interface import Body as Body
     from qbxstokes.simulation.interface import Motion as Motion
     from qbxstokes.simulation.interface import flow as flow
@@ -35,8 +35,8 @@ _PUBLIC = {
     "flow": "qbxstokes.simulation.interface",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
-    "run": "qbxstokes.run.calls",
-    "sweep": "qbxstokes.run.calls",
+    "run": "qbxstokes.runs.calls",
+    "sweep": "qbxstokes.runs.calls",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -108,7 +108,7 @@ def test_any_number_of_ranks_gives_the_same_bits(
 SLOW = """
 import os, sys, time
 from mpi4py import MPI
-from qbxstokes.run import block
+from qbxstokes.runs import block
 compute, count = block.compute_block, [0]
 def slow(*arguments):
     count[0] += 1

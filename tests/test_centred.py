@@ -18,7 +18,7 @@ from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Chunk, Step
-from qbxstokes.run.scenes import Scenes
+from qbxstokes.runs.scenes import Scenes
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

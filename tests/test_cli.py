@@ -22,11 +22,11 @@ from qbxstokes.cli.main import run_command, split_arguments
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load
-from qbxstokes.run.parallel import missing_message
-from qbxstokes.run.plan import make_plan, rotation_period
-from qbxstokes.run.report import counted
-from qbxstokes.run.summary import _estimate, _seen, flow_text, shape_text
-from qbxstokes.run.tasks import plan_of
+from qbxstokes.runs.parallel import missing_message
+from qbxstokes.runs.plan import make_plan, rotation_period
+from qbxstokes.runs.report import counted
+from qbxstokes.runs.summary import _estimate, _seen, flow_text, shape_text
+from qbxstokes.runs.tasks import plan_of
 
 WriteCase = Callable[..., Path]
 
@@ -325,7 +325,7 @@ def test_bad_case_on_two_ranks_is_told_once(mpirun: Run, write_case: WriteCase) 
 def test_one_rank_failing_ends_the_job(mpirun: Run, error: str) -> None:
     script = f"""
 import time
-from qbxstokes.run.parallel import guarded, world
+from qbxstokes.runs.parallel import guarded, world
 from qbxstokes.errors import QbxStokesError
 comm = world()
 def action():

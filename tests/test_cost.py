@@ -11,9 +11,9 @@ import pytest
 
 from qbxstokes.app.benchmark.sweeps import LARGE, Timed, Trial, fitted
 from qbxstokes.case.load import load_case
-from qbxstokes.run.cost import XEON, Constants, block_seconds, estimate, weights
-from qbxstokes.run.scenes import Scenes
-from qbxstokes.run.sweep import layout_of
+from qbxstokes.runs.cost import XEON, Constants, block_seconds, estimate, weights
+from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep import layout_of
 
 
 def scenes_of(text: str, folder: Path) -> Scenes:

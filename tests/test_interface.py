@@ -17,7 +17,7 @@ from qbxstokes.reference import faxen, jeffery, lamb
 
 
 @pytest.mark.parametrize(
-    "module", ["qbxstokes", "qbxstokes.run.calls", "qbxstokes.simulation.interface"]
+    "module", ["qbxstokes", "qbxstokes.runs.calls", "qbxstokes.simulation.interface"]
 )
 def test_examples_run_as_written(module):
     result = doctest.testmod(importlib.import_module(module), raise_on_error=False)

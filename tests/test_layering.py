@@ -26,7 +26,7 @@ LEVELS = (
     {"motion"},
     {"petsc", "io", "plots", "case"},
     {"simulation"},
-    {"run"},
+    {"runs"},
     {"app"},
     {"cli"},
     {"__main__", "__init__"},
@@ -38,15 +38,15 @@ SHARED = ("errors", "__version__")
 # Libraries that only some packages may import, wherever in the file the import stands.
 HOMES = {
     "petsc4py": {"petsc"},
-    "mpi4py": {"petsc", "run", "app", "cli"},
+    "mpi4py": {"petsc", "runs", "app", "cli"},
     "yaml": {"case"},
     "h5py": {"io"},
     "matplotlib": {"plots"},
     "pandas": {"io"},
     "xarray": {"io"},
-    "tqdm": {"run"},
-    "argparse": {"run", "app", "cli", "__main__"},
-    "logging": {"petsc", "io", "plots", "case", "simulation", "run", "app", "cli", "__main__"},
+    "tqdm": {"runs"},
+    "argparse": {"runs", "app", "cli", "__main__"},
+    "logging": {"petsc", "io", "plots", "case", "simulation", "runs", "app", "cli", "__main__"},
 }
 # What verifies shares no code with what is verified.
 REFERENCE_LIBRARIES = {"numpy", "scipy"}
@@ -167,7 +167,7 @@ def test_forbidden_imports_are_seen(module: str, source: str) -> None:
         ("qbxstokes.flows.linear", "from qbxstokes.errors import FlowError"),
         ("qbxstokes.reference.jeffery", "import math\nfrom scipy import special"),
         ("qbxstokes.petsc.shell", "from petsc4py import PETSc\nfrom qbxstokes.qbx import operator"),
-        ("qbxstokes.__main__", "from qbxstokes.run import command as run"),
+        ("qbxstokes.__main__", "from qbxstokes.runs import command as run"),
         ("qbxstokes.cli.main", "from qbxstokes import __version__"),
     ],
 )
@@ -191,7 +191,7 @@ def test_no_module_of_the_mathematics_loads_them_either() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["qbxstokes", "qbxstokes.case", "qbxstokes.io", "qbxstokes.run", "qbxstokes.cli"]
+    "module", ["qbxstokes", "qbxstokes.case", "qbxstokes.io", "qbxstokes.runs", "qbxstokes.cli"]
 )
 def test_slow_libraries_wait_until_they_are_needed(module: str) -> None:
     assert loaded(f"import {module}", LAZY) == ""

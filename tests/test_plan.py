@@ -15,8 +15,8 @@ from qbxstokes.case.load import load_case
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
-from qbxstokes.run.plan import make_plan
-from qbxstokes.run.scenes import Scenes
+from qbxstokes.runs.plan import make_plan
+from qbxstokes.runs.scenes import Scenes
 from qbxstokes.simulation.hydrodynamics import form_hydrodynamics
 
 WriteCase = Callable[..., Path]

@@ -27,7 +27,7 @@ from qbxstokes.io.results import MOTION_FIELDS
 from qbxstokes.io.sweep import parts_of, read_journals, runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.reference import inertial, jeffery
-from qbxstokes.run.scenes import Scenes
+from qbxstokes.runs.scenes import Scenes
 
 CASE: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},
@@ -486,7 +486,7 @@ def test_failures_are_told_and_mended(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     from qbxstokes.errors import ConvergenceError
-    from qbxstokes.run import block
+    from qbxstokes.runs import block
 
     path = write({"body.stokes_number": [1, 2, 3]}, RANDOM, sweep={"block": 7})
     integrate = block.integrate

@@ -24,10 +24,10 @@ from qbxstokes.case.tabulate import Tables
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io.results import ResultWriter, check_writable, free_name
 from qbxstokes.io.tables import Table
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.parallel import on_root
-from qbxstokes.run.plan import result_path
-from qbxstokes.run.report import WIDTH, Rows, block, duration, headline, render, tell_plan
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.parallel import on_root
+from qbxstokes.runs.plan import result_path
+from qbxstokes.runs.report import WIDTH, Rows, block, duration, headline, render, tell_plan
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def run_tables(
 
     if tell_plan(comm, loaded, options, lambda: explain_tables(loaded, plan), facts):
         return 0
-    from qbxstokes.run.provenance import start_petsc
+    from qbxstokes.runs.provenance import start_petsc
 
     _, record = start_petsc(comm, loaded, petsc, clock)
 

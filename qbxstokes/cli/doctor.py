@@ -14,7 +14,7 @@ from typing import Any
 
 from qbxstokes import __version__
 from qbxstokes.io.cache import default_folder
-from qbxstokes.run.report import WIDTH, counted, size
+from qbxstokes.runs.report import WIDTH, counted, size
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ def run_command(arguments: Sequence[str]) -> int:
         # Whoever read our output has stopped; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    from qbxstokes.run.command import run_case
+    from qbxstokes.runs.command import run_case
 
     return run_case(Path(options.words[0]), options, petsc)
 
@@ -173,7 +173,7 @@ def _one(words: Sequence[str], what: str) -> str:
 def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Validate case files; every bad one is told, the worst decides the exit status."""
     from qbxstokes.case.load import load_case
-    from qbxstokes.run.tasks import plan_of
+    from qbxstokes.runs.tasks import plan_of
 
     if not words:
         raise CaseError("command line: check needs at least one case file")
@@ -219,7 +219,7 @@ def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
 def _info(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Describe a result file."""
     from qbxstokes.io.results import load
-    from qbxstokes.run.report import describe_result, to_json
+    from qbxstokes.runs.report import describe_result, to_json
 
     result = load(_one(words, "info takes one result file"))
     print(to_json(result) if options.json else describe_result(result))

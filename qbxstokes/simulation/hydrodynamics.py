@@ -27,7 +27,7 @@ from qbxstokes.qbx.operator import (
     independent_rows,
     layer_rows,
 )
-from qbxstokes.run.plan import Plan
+from qbxstokes.runs.plan import Plan
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2

@@ -16,9 +16,9 @@ import numpy as np
 from qbxstokes.app.benchmark.command import run
 from qbxstokes.case.load import load_case
 from qbxstokes.io.tables import Column, Table
-from qbxstokes.run.cost import XEON, Constants, Estimate, estimate, weights
-from qbxstokes.run.scenes import Scenes
-from qbxstokes.run.sweep import layout_of
+from qbxstokes.runs.cost import XEON, Constants, Estimate, estimate, weights
+from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep import layout_of
 
 if TYPE_CHECKING:
     from qbxstokes.app.tabulate import Work
@@ -45,7 +45,7 @@ sweep:
 _HANDOUT = """\
 import time
 from mpi4py import MPI
-from qbxstokes.run.handout import BLOCKS, HandOut
+from qbxstokes.runs.handout import BLOCKS, HandOut
 counters = HandOut(MPI.COMM_WORLD)
 counters.wait()
 begin = time.perf_counter()

@@ -29,13 +29,13 @@ from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.io.sweep import parts_of
 from qbxstokes.io.tables import Table
-from qbxstokes.run import handout
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.handout import HandOut
-from qbxstokes.run.interrupt import Interruption, interrupted
-from qbxstokes.run.parallel import agree, on_root
-from qbxstokes.run.progress import Progress
-from qbxstokes.run.report import WIDTH, duration, headline, render, tell_plan
+from qbxstokes.runs import handout
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.handout import HandOut
+from qbxstokes.runs.interrupt import Interruption, interrupted
+from qbxstokes.runs.parallel import agree, on_root
+from qbxstokes.runs.progress import Progress
+from qbxstokes.runs.report import WIDTH, duration, headline, render, tell_plan
 
 Block = tuple[str, dict[str, Any]]  # study, parameters
 _HEAD = "study.json"
@@ -69,7 +69,7 @@ def run_studies(
 
     if tell_plan(comm, loaded, options, text, facts):
         return 0
-    from qbxstokes.run.provenance import start_petsc
+    from qbxstokes.runs.provenance import start_petsc
 
     _, record = start_petsc(comm, loaded, petsc, clock)
     folder = on_root(comm, lambda: _folder(loaded, plan, blocks, options))

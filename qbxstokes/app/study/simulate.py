@@ -30,7 +30,7 @@ from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.reference import heavy
-from qbxstokes.run.quantities import quantities
+from qbxstokes.runs.quantities import quantities
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import sys
 import time
 from typing import Any, Literal
 
-from qbxstokes.run.report import duration
+from qbxstokes.runs.report import duration
 
 Style = Literal["auto", "bar", "line", "none"]
 STYLES = ("auto", "bar", "line", "none")

@@ -11,8 +11,8 @@ from typing import Any
 from qbxstokes.case.constraints import FREE, LOCKED
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.run.plan import Plan, result_path
-from qbxstokes.run.report import (
+from qbxstokes.runs.plan import Plan, result_path
+from qbxstokes.runs.report import (
     Rows,
     counted,
     described_points,

@@ -17,7 +17,7 @@ from qbxstokes.flows.check import check_regular, check_singularities, check_stok
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, free_name
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.run.field_targets import chosen_instants, targets_of
+from qbxstokes.runs.field_targets import chosen_instants, targets_of
 
 Array = NDArray[np.float64]
 

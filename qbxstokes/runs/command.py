@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.parallel import guarded, missing_message, on_root, world
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.parallel import guarded, missing_message, on_root, world
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase
@@ -47,9 +47,9 @@ def compute_case(
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
         from qbxstokes.case.load import from_document
-        from qbxstokes.run.report import tell_plan
-        from qbxstokes.run.summary import explain, plan_facts, summary_text
-        from qbxstokes.run.tasks import plan_of
+        from qbxstokes.runs.report import tell_plan
+        from qbxstokes.runs.summary import explain, plan_facts, summary_text
+        from qbxstokes.runs.tasks import plan_of
 
     def planned() -> Any:
         loaded = read()
@@ -59,7 +59,7 @@ def compute_case(
         document, space, plan = on_root(comm, planned)
         loaded = from_document(document, path, space)
     if loaded.case.task == "field":
-        from qbxstokes.run.field_run import run_field_case
+        from qbxstokes.runs.field_run import run_field_case
 
         return run_field_case(comm, loaded, plan, options, petsc, clock)
     if loaded.case.task == "study":
@@ -72,21 +72,21 @@ def compute_case(
         return run_tables(comm, loaded, plan, options, petsc, clock)
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if loaded.space is not None:
-        from qbxstokes.run.sweep import sweep_command
+        from qbxstokes.runs.sweep import sweep_command
 
         return sweep_command(comm, loaded, options, petsc, clock)
     if tell_plan(comm, loaded, options, lambda: explain(loaded, plan), lambda: plan_facts(plan)):
         return 0
     with clock.part("import"):
-        from qbxstokes.run.provenance import start_petsc
+        from qbxstokes.runs.provenance import start_petsc
 
     PETSc, record = start_petsc(comm, loaded, petsc, clock)
     with clock.part("import"):
         from qbxstokes.petsc import session
-        from qbxstokes.run.interrupt import Interruption
-        from qbxstokes.run.motion import run_motion
-        from qbxstokes.run.recording import Recording
-        from qbxstokes.run.rows import RowTeam, with_team
+        from qbxstokes.runs.interrupt import Interruption
+        from qbxstokes.runs.motion import run_motion
+        from qbxstokes.runs.recording import Recording
+        from qbxstokes.runs.rows import RowTeam, with_team
         from qbxstokes.simulation.hydrodynamics import open_cache
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
@@ -106,7 +106,7 @@ def compute_case(
         return run_motion(loaded, plan, clock, record, recording, interruption, team, cache)
 
     def help_with_field(*arguments: Any) -> None:
-        from qbxstokes.run import field
+        from qbxstokes.runs import field
 
         field.help_with_field(comm, loaded, clock, *arguments)
 
@@ -124,7 +124,7 @@ def compute_case(
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)
         summary["unused_petsc_options"] = session.unused_options(PETSc)
         if options.json:
-            from qbxstokes.run.report import plain
+            from qbxstokes.runs.report import plain
 
             print(json.dumps(plain(summary), indent=2))
         elif speak:

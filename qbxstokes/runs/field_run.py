@@ -11,11 +11,11 @@ from typing import Any
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.compilation import compilation_told
-from qbxstokes.run.field import FieldPlan, run_field
-from qbxstokes.run.plan import result_path
-from qbxstokes.run.report import (
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.compilation import compilation_told
+from qbxstokes.runs.field import FieldPlan, run_field
+from qbxstokes.runs.plan import result_path
+from qbxstokes.runs.report import (
     Rows,
     counted,
     described_points,
@@ -26,7 +26,7 @@ from qbxstokes.run.report import (
     tell_plan,
     vector,
 )
-from qbxstokes.run.summary import flow_text, shape_text
+from qbxstokes.runs.summary import flow_text, shape_text
 
 
 def run_field_case(
@@ -45,7 +45,7 @@ def run_field_case(
     if tell_plan(comm, loaded, options, lambda: explain_field(loaded, plan), facts):
         return 0
     from qbxstokes.petsc import session
-    from qbxstokes.run.provenance import start_petsc
+    from qbxstokes.runs.provenance import start_petsc
 
     PETSc, record = start_petsc(comm, loaded, petsc, clock)
     with compilation_told(comm, not options.quiet):
@@ -55,7 +55,7 @@ def run_field_case(
     if comm.rank == 0:
         summary["unused_petsc_options"] = unused
         if options.json:
-            from qbxstokes.run.report import plain
+            from qbxstokes.runs.report import plain
 
             print(json.dumps(plain(summary), indent=2))
         elif not options.quiet:

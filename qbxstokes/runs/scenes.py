@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.sweep import Column, Key
-from qbxstokes.run.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
+from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
 
 Indices = NDArray[np.int64]
 

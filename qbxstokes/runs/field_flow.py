@@ -20,9 +20,9 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.field_targets import Targets, targets_of
-from qbxstokes.run.rows import rows_by_all
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.field_targets import Targets, targets_of
+from qbxstokes.runs.rows import rows_by_all
 
 Array = NDArray[np.float64]
 

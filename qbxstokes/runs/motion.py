@@ -20,13 +20,13 @@ from qbxstokes.motion.events import Events
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.qbx.operator import layer_rows
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.compare import Comparison, compare, shear_rate
-from qbxstokes.run.interrupt import Interruption
-from qbxstokes.run.plan import Plan
-from qbxstokes.run.recording import Recording
-from qbxstokes.run.rows import RowTeam
-from qbxstokes.run.watch import build_events, events_summary
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.compare import Comparison, compare, shear_rate
+from qbxstokes.runs.interrupt import Interruption
+from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.recording import Recording
+from qbxstokes.runs.rows import RowTeam
+from qbxstokes.runs.watch import build_events, events_summary
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, form_hydrodynamics
 from qbxstokes.simulation.loads import loads_and_constraints
 
@@ -100,7 +100,7 @@ def run_motion(
     with ResultWriter(recording.target, case.task, record, replace) as writer:
         _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial, team)
     if case.field is not None and summary["complete"]:
-        from qbxstokes.run.field import draw_pictures
+        from qbxstokes.runs.field import draw_pictures
 
         summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     recording.journal.close(remove=trajectory.finished)
@@ -157,7 +157,7 @@ def _conclude(
         "largest_error": comparison.largest,
     }
     if case.field is not None and summary["complete"]:
-        from qbxstokes.run.field import export_field, field_of_motion
+        from qbxstokes.runs.field import export_field, field_of_motion
 
         summary["field"] = field_of_motion(
             loaded, times, samples, clock, writer, equations, initial, team

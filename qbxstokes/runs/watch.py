@@ -22,7 +22,7 @@ from qbxstokes.motion.events import (
     steady,
     turning_point,
 )
-from qbxstokes.run.plan import Plan
+from qbxstokes.runs.plan import Plan
 
 Array = NDArray[np.float64]
 

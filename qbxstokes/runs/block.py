@@ -19,10 +19,10 @@ from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Trajectory
-from qbxstokes.run.columns import SUMMARY
-from qbxstokes.run.plan import orbit_axis, start_quaternion
-from qbxstokes.run.quantities import BASIC, quantities, shape_of
-from qbxstokes.run.scenes import STOKES, Scene
+from qbxstokes.runs.columns import SUMMARY
+from qbxstokes.runs.plan import orbit_axis, start_quaternion
+from qbxstokes.runs.quantities import BASIC, quantities, shape_of
+from qbxstokes.runs.scenes import STOKES, Scene
 from qbxstokes.simulation.loads import loads_and_constraints
 
 Array = NDArray[np.float64]

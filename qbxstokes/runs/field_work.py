@@ -21,11 +21,11 @@ from qbxstokes.bie.field import INSIDE, SOURCES
 from qbxstokes.errors import ConvergenceError, OutputError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.results import ResultWriter
-from qbxstokes.run import handout
-from qbxstokes.run.field_flow import FieldFlow, Instant
-from qbxstokes.run.field_targets import Targets, surface_angles
-from qbxstokes.run.handout import HandOut
-from qbxstokes.run.parallel import agree, on_root
+from qbxstokes.runs import handout
+from qbxstokes.runs.field_flow import FieldFlow, Instant
+from qbxstokes.runs.field_targets import Targets, surface_angles
+from qbxstokes.runs.handout import HandOut
+from qbxstokes.runs.parallel import agree, on_root
 
 Array = NDArray[np.float64]
 

@@ -28,16 +28,16 @@ from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
-from qbxstokes.run import handout
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.columns import SUMMARY
-from qbxstokes.run.compilation import compilation_told
-from qbxstokes.run.handout import HandOut
-from qbxstokes.run.interrupt import Interruption, interrupted
-from qbxstokes.run.parallel import on_root
-from qbxstokes.run.plan import result_path
-from qbxstokes.run.progress import Progress
-from qbxstokes.run.scenes import Scene, Scenes
+from qbxstokes.runs import handout
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.columns import SUMMARY
+from qbxstokes.runs.compilation import compilation_told
+from qbxstokes.runs.handout import HandOut
+from qbxstokes.runs.interrupt import Interruption, interrupted
+from qbxstokes.runs.parallel import on_root
+from qbxstokes.runs.plan import result_path
+from qbxstokes.runs.progress import Progress
+from qbxstokes.runs.scenes import Scene, Scenes
 
 Array = NDArray[Any]
 
@@ -66,7 +66,7 @@ def sweep_command(
     clock: Clock,
 ) -> int:
     """Carry out a case with a section `sweep`; returns the exit status."""
-    from qbxstokes.run.report import plain
+    from qbxstokes.runs.report import plain
 
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if options.dry_run or options.explain:
@@ -78,7 +78,7 @@ def sweep_command(
         if options.dry_run:
             return 0
     from qbxstokes.petsc import session
-    from qbxstokes.run.provenance import start_petsc
+    from qbxstokes.runs.provenance import start_petsc
 
     PETSc, record = start_petsc(comm, loaded, petsc, clock)
     summary = run_sweep(comm, loaded, options, record, clock)
@@ -90,7 +90,7 @@ def sweep_command(
         elif speak and summary["complete"]:
             print(f"{summary['result']}: complete, nothing to resume")
         elif speak:
-            from qbxstokes.run.sweep_report import summary_text
+            from qbxstokes.runs.sweep_report import summary_text
 
             print(summary_text(Scenes(loaded), summary))
         for name in summary["unused_petsc_options"]:
@@ -101,8 +101,8 @@ def sweep_command(
 
 def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
     """What would run, as data and as text."""
-    from qbxstokes.run.cost import estimate
-    from qbxstokes.run.sweep_report import plan_text
+    from qbxstokes.runs.cost import estimate
+    from qbxstokes.runs.sweep_report import plan_text
 
     scenes = Scenes(loaded)
     layout = layout_of(scenes)
@@ -470,7 +470,7 @@ def _blocks(
 
 def _order(scenes: Scenes, work: Work) -> list[int]:
     """Blocks in the order of handing out: the costliest first, so that ranks end together."""
-    from qbxstokes.run.cost import block_seconds
+    from qbxstokes.runs.cost import block_seconds
 
     numbers = sorted({*work.blocks, *work.mend})
     cost = block_seconds(scenes)[numbers]
@@ -489,7 +489,7 @@ class _Computer:
         self, number: int, only: list[int] | None
     ) -> tuple[Array, dict[str, Array], dict[str, Any]]:
         """Trajectory numbers, rows of the file, and the journal's entry."""
-        from qbxstokes.run.block import BlockResult, compute_block, starts_of
+        from qbxstokes.runs.block import BlockResult, compute_block, starts_of
 
         scenes, layout = self._scenes, self._layout
         block = scenes.block(number)

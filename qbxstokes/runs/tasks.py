@@ -11,13 +11,13 @@ from qbxstokes.case.schema import TABLE_TASKS
 def plan_of(loaded: LoadedCase, overwrite: bool = False) -> Any:
     """The plan of the case's task; raises CaseError for what the schema alone cannot see."""
     if loaded.case.task == "field":
-        from qbxstokes.run.field import plan_field
+        from qbxstokes.runs.field import plan_field
 
         return plan_field(loaded, overwrite)
     if loaded.case.task in TABLE_TASKS:
         from qbxstokes.app.tabulate import plan_tables
 
         return plan_tables(loaded, overwrite)
-    from qbxstokes.run.plan import make_plan
+    from qbxstokes.runs.plan import make_plan
 
     return make_plan(loaded, overwrite)

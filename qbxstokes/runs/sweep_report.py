@@ -6,9 +6,9 @@ from typing import Any
 
 from qbxstokes.case.sweep import column_name
 from qbxstokes.io.sweep import Layout
-from qbxstokes.run.cost import START_SECONDS, Estimate
-from qbxstokes.run.report import Rows, counted, duration, quantity, render, size
-from qbxstokes.run.scenes import Scenes
+from qbxstokes.runs.cost import START_SECONDS, Estimate
+from qbxstokes.runs.report import Rows, counted, duration, quantity, render, size
+from qbxstokes.runs.scenes import Scenes
 
 
 def _axes(scenes: Scenes) -> Rows:

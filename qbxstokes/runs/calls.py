@@ -17,9 +17,9 @@ from qbxstokes.case.document import parse, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.results import Result, free_name, load
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.command import compute_case
-from qbxstokes.run.report import plain
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.command import compute_case
+from qbxstokes.runs.report import plain
 
 if TYPE_CHECKING:
     from qbxstokes.io.sweep_result import SweepResult
@@ -67,7 +67,7 @@ def _computed(
     quiet: bool,
 ) -> Result:
     """The result of a case with `more` keys."""
-    from qbxstokes.run.parallel import on_root, world
+    from qbxstokes.runs.parallel import on_root, world
 
     path = Path(f"{_NAME}.yaml") if isinstance(case, Mapping) else Path(case)
 

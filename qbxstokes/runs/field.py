@@ -15,12 +15,12 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
 from qbxstokes.io.results import ResultWriter, check_writable, free_name
-from qbxstokes.run.clock import Clock
-from qbxstokes.run.field_flow import FieldFlow, Instant
-from qbxstokes.run.field_targets import chosen_instants, targets_of
-from qbxstokes.run.field_work import FieldWork
-from qbxstokes.run.plan import check_flow, result_path, start_quaternion
-from qbxstokes.run.rows import ALONE, RowTeam
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.field_flow import FieldFlow, Instant
+from qbxstokes.runs.field_targets import chosen_instants, targets_of
+from qbxstokes.runs.field_work import FieldWork
+from qbxstokes.runs.plan import check_flow, result_path, start_quaternion
+from qbxstokes.runs.rows import ALONE, RowTeam
 
 Array = NDArray[np.float64]
 

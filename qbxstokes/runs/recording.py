@@ -21,9 +21,9 @@ from qbxstokes.io.results import MOTION_FIELDS, TIME, ResultWriter, numbered
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.run.plan import Plan, result_path
-from qbxstokes.run.quantities import quantities
-from qbxstokes.run.watch import columns_of, split_columns
+from qbxstokes.runs.plan import Plan, result_path
+from qbxstokes.runs.quantities import quantities
+from qbxstokes.runs.watch import columns_of, split_columns
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.reference import faxen
-from qbxstokes.run.scenes import BLOCK_BYTES, STOKES, Scene, Scenes
+from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scene, Scenes
 
 # Bodies from which on some of a block need shorter steps than its first.
 SEVERAL = 8
