@@ -17,22 +17,30 @@ if TYPE_CHECKING:
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
     from qbxstokes.io.results import load as load
+    from qbxstokes.motion.equations import Constraints as Constraints
+    from qbxstokes.motion.equations import Loads as Loads
     from qbxstokes.runs.calls import run as run
     from qbxstokes.runs.calls import sweep as sweep
-    from qbxstokes.simulation.interface import Body as Body
-    from qbxstokes.simulation.interface import Motion as Motion
-    from qbxstokes.simulation.interface import flow as flow
+    from qbxstokes.simulation.body import Body as Body
+    from qbxstokes.simulation.body import flow as flow
+    from qbxstokes.simulation.from_case import from_case as from_case
+    from qbxstokes.simulation.result import Motion as Motion
+    from qbxstokes.simulation.simulation import Simulation as Simulation
 
 __version__ = "0.1.0"
 
 # Public name -> module that holds it; imported when first used, so that `import qbxstokes` costs
 # nothing and the mathematics stays free of PETSc, files and options.
 _PUBLIC = {
-    "Body": "qbxstokes.simulation.interface",
-    "Motion": "qbxstokes.simulation.interface",
+    "Body": "qbxstokes.simulation.body",
+    "Constraints": "qbxstokes.motion.equations",
+    "Loads": "qbxstokes.motion.equations",
+    "Motion": "qbxstokes.simulation.result",
+    "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
     "build_flow": "qbxstokes.flows",
-    "flow": "qbxstokes.simulation.interface",
+    "flow": "qbxstokes.simulation.body",
+    "from_case": "qbxstokes.simulation.from_case",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
     "run": "qbxstokes.runs.calls",

@@ -28,6 +28,17 @@ class CaseError(QbxStokesError):
     exit_status = 2
 
 
+class SceneError(CaseError):
+    """Something in a scene is wrong: `key` as in a case file, what is wrong, what would be right.
+
+    A case file adds its name and line (`LoadedCase.pointed`).
+    """
+
+    def __init__(self, key: str, wrong: str, right: str = "") -> None:
+        super().__init__(f"{key} {wrong}" + (f"; {right}" if right else ""))
+        self.key, self.wrong, self.right = key, wrong, right
+
+
 class FlowError(CaseError):
     """The background flow is ill specified, not Stokesian, or singular where the body is.
 

@@ -10,11 +10,15 @@ The tree is built here from the parser's events rather than by PyYAML's construc
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import yaml
 
 from qbxstokes.errors import CaseError, escaped
 
@@ -305,3 +309,31 @@ def _scalar(text: str) -> Any:
     if _NOT_FINITE.match(text):
         return float(text.replace(".", "", 1))
     return text
+
+
+def plain(value: Any) -> Any:
+    """`value` with arrays and NumPy numbers as what JSON knows; infinities as text."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return value
+
+
+def document_of(keys: Mapping[str, Any], name: str = "case") -> Document:
+    """The document of a case given by its keys, in which arrays may stand for lists.
+
+    name: what messages call it.
+    """
+    return replace(parse(json.dumps(plain(keys), indent=1), name), is_file=False)
+
+
+def written(keys: Mapping[str, Any]) -> str:
+    """The text of a case file with these keys."""
+    return str(yaml.safe_dump(plain(keys), sort_keys=False, default_flow_style=None, width=100))

@@ -6,13 +6,13 @@ import difflib
 import re
 import types
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.base import describe
-from qbxstokes.case.document import Document, Key, parse, read_text
+from qbxstokes.case.document import Document, Key, document_of, parse, read_text
 from qbxstokes.case.model import Fault, FieldInfo, Invalid, Section
 from qbxstokes.case.schema import TABLE_TASKS, Case
 from qbxstokes.case.sweep import (
@@ -65,6 +65,11 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
     for assignment in overrides:
         document.override(assignment)
     return checked(document, path)
+
+
+def case_of(keys: Mapping[str, Any], name: str = "case") -> LoadedCase:
+    """The case of a dictionary of its keys; files that it names are in the working folder."""
+    return checked(document_of(keys, name), Path(f"{name}.yaml"))
 
 
 def checked(document: Document, path: Path) -> LoadedCase:

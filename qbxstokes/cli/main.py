@@ -173,6 +173,7 @@ def _one(words: Sequence[str], what: str) -> str:
 def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Validate case files; every bad one is told, the worst decides the exit status."""
     from qbxstokes.case.load import load_case
+    from qbxstokes.runs.target import target_of
     from qbxstokes.runs.tasks import plan_of
 
     if not words:
@@ -182,7 +183,8 @@ def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     for word in words:
         try:
             loaded = load_case(word, options.set)
-            plan_of(loaded, options.overwrite)
+            plan_of(loaded)
+            target_of(loaded, options.overwrite)
         except QbxStokesError as error:
             reports.append({"case": word, "valid": False, "error": str(error)})
             status = max(status, _fail(error))

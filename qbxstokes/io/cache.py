@@ -133,6 +133,11 @@ class Cache:
         return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
 
 
+def open_cache(named: str | None, off: bool = False) -> Cache:
+    """The cache of a run: a named folder, else that of QBXSTOKES_CACHE or of the user."""
+    return Cache(None if off else Path(named).expanduser() if named else default_folder())
+
+
 class SharedCache(Cache):
     """A cache that also holds its entries in memory, to be given to other ranks.
 

@@ -8,6 +8,7 @@ every period T = 2 pi (k + 1/k)/rate.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,46 @@ def jeffery_phase(axis: ArrayLike, aspect_ratio: float, frame: ArrayLike | None 
     """Phase atan2(b, k a), (..., 3) -> (...), linear in time on a Jeffery orbit; in (-pi, pi]."""
     a, b, _ = _components(axis, frame)
     return np.asarray(np.arctan2(b, aspect_ratio * a))
+
+
+def orbit_axis(aspect_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -> Array:
+    """Axis (..., 3) on the Jeffery orbit C in the shear (x2, 0, 0), any length but zero.
+
+    (C cos p, -C k sin p, 1), and its limit (cos p, -k sin p, 0) for infinite C; the phase p of a
+    massless body grows by 2 pi in a period (Jeffery 1922, eqs. 48 f.).
+    """
+    k, c, p = (np.asarray(value, dtype=float) for value in (aspect_ratio, constant, phase))
+    # Both divided by 1 + C, so that tumbling needs no case of its own but the number itself.
+    part = np.where(np.isinf(c), 1.0, c / (1.0 + np.where(np.isinf(c), 0.0, c)))
+    return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
+
+
+def rotation_period(gradient: Array, aspect_ratio: float) -> float | None:
+    """Period of a free spheroid's axis in a linear flow, None where it comes to rest.
+
+    The axis follows the linear system dd/dt = (W + lambda E) d up to its length, with
+    lambda = (1 - k^2)/(1 + k^2) (Bretherton 1962, J. Fluid Mech. 14, eq. 15 f.); a complex pair of
+    eigenvalues +-i omega + sigma makes it turn with period 2 pi/omega. In a shear of rate 1 this
+    is Jeffery's 2 pi (k + 1/k).
+    """
+    k = aspect_ratio
+    shape = (1.0 - k * k) / (1.0 + k * k)
+    largest = float(np.abs(gradient).max())
+    if not largest > 0.0:
+        return None
+    gradient = gradient / largest  # so that no rate is too large or too small for its square
+    strain, spin = 0.5 * (gradient + gradient.T), 0.5 * (gradient - gradient.T)
+    if not np.any(spin):
+        return None
+    # omega^2 = -(1/2) tr (W + lambda E)^2 when the third eigenvalue vanishes, which is exact for
+    # plane flows where thin bodies make the eigenvalue problem ill-conditioned.
+    system = spin + shape * strain
+    if abs(np.linalg.det(system)) <= 1e-14 * np.abs(system).max() ** 3:
+        squared = 0.5 * float(np.sum(spin * spin) - shape**2 * np.sum(strain * strain))
+        omega = math.sqrt(max(0.0, squared))
+    else:
+        omega = float(np.abs(np.linalg.eigvals(system).imag).max())
+    return 2.0 * math.pi / omega / largest if omega > 0.0 else None
 
 
 @dataclass(frozen=True)

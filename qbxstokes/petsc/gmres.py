@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import SurfaceGrid
-from qbxstokes.petsc.session import temporary_options
+from qbxstokes.petsc.session import LIVE, temporary_options
 from qbxstokes.petsc.shell import PreconditionerContext, shell_matrix
 from qbxstokes.qbx.modes import ModalOperator
 
@@ -79,6 +79,12 @@ class GmresSolver:
             ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
         self._product = self._rhs.duplicate()
+        LIVE.add(self)
+
+    def release(self) -> None:
+        """Destroy what PETSc holds; the records stay."""
+        self._ksp.destroy()
+        self._matrix.destroy()
 
     def solve(self, rhs: Array) -> Array:
         """Solution (N, 3) of A x = rhs, rhs of shape (N, 3)."""

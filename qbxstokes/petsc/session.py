@@ -5,9 +5,13 @@ from __future__ import annotations
 import atexit
 import gc
 import sys
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+# Whoever holds objects of PETSc that call Python, and may still do so when the interpreter ends.
+LIVE: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
 def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = None) -> Any:
@@ -81,6 +85,8 @@ def _release() -> None:
     """
     from petsc4py import PETSc
 
+    for holder in list(LIVE):
+        holder.release()
     gc.collect()
     PETSc.garbage_cleanup(PETSc.COMM_SELF)
 

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.functional import BodyModel
+from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import Key
-from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation
-from qbxstokes.motion.averages import turn_averages
-from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.petsc.stepper import integrate
+from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.columns import SUMMARY
-from qbxstokes.runs.plan import orbit_axis, start_quaternion
-from qbxstokes.runs.quantities import BASIC, quantities, shape_of
-from qbxstokes.runs.scenes import STOKES, Scene
-from qbxstokes.simulation.loads import loads_and_constraints
+from qbxstokes.runs.quantities import BASIC, shape_of
+from qbxstokes.runs.scenes import STOKES
+from qbxstokes.simulation.from_case import Starts, start_quaternion
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.simulation import Assembled, Simulation, assemble
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 @dataclass
@@ -40,33 +40,9 @@ class BlockResult:
     evaluations: int = 0
 
 
-@dataclass(frozen=True)
-class Starts:
-    """Start of every trajectory of a block, arrays (n, ...); velocities None: with the flow."""
-
-    stokes_number: Array
-    position: Array
-    quaternion: Array
-    velocity: Array | None
-    angular_velocity: Array | None
-
-    def __len__(self) -> int:
-        """Number of trajectories."""
-        return len(self.stokes_number)
-
-    def at(self, chosen: Any) -> Starts:
-        """Those of some of the trajectories."""
-        parts = (self.stokes_number, self.position, self.quaternion)
-        moving = (self.velocity, self.angular_velocity)
-        return Starts(
-            *(part[chosen] for part in parts),
-            *(None if part is None else part[chosen] for part in moving),
-        )
-
-
-def starts_of(scene: Scene, values: Mapping[Key, Any], n: int) -> Starts:
-    """Where the n trajectories start, from the scene's case and the swept values."""
-    case = scene.loaded.case
+def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:
+    """Where the n trajectories start, from a case and the swept values."""
+    case = loaded.case
 
     def vectors(name: str) -> Array | None:
         base = getattr(case.start, name)
@@ -89,18 +65,18 @@ def starts_of(scene: Scene, values: Mapping[Key, Any], n: int) -> Starts:
     return Starts(
         np.array(stokes, dtype=np.float64),
         position,
-        _quaternions(scene, values, n),
+        _quaternions(loaded, values, n),
         vectors("velocity"),
         vectors("angular_velocity"),
     )
 
 
-def _quaternions(scene: Scene, values: Mapping[Key, Any], n: int) -> Array:
+def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array:
     """Start orientations (n, 4)."""
-    case = scene.loaded.case
+    case = loaded.case
     swept = {k[2:]: v for k, v in values.items() if k[:2] == ("start", "orientation")}
     if not swept:
-        return np.tile(start_quaternion(case), (n, 1))
+        return np.tile(start_quaternion(case.start, case.body.aspect_ratio), (n, 1))
     if () in swept:  # random axes or rotations
         random = swept[()]
         return rotation.from_axis(random) if random.shape[1] == 3 else random
@@ -122,146 +98,140 @@ def _quaternions(scene: Scene, values: Mapping[Key, Any], n: int) -> Array:
     return rotation.from_axis(orbit_axis(case.body.aspect_ratio, *parts))
 
 
+# Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.
+Part = tuple[Simulation, Indices, Indices]
+
+
 def compute_block(
-    scene: Scene,
-    model: BodyModel,
-    provider: Any,
-    starts: Starts,
+    scenes: Sequence[Simulation],
+    times: Array,
     fields: tuple[str, ...],
     discard: float,
+    workshop: Workshop,
+    pushed: bool,
     poke: Callable[[], bool],
 ) -> BlockResult:
-    """Integrate the trajectories and summarise them; those that fail are told and left out.
+    """Integrate the lanes of all scenes together and summarise them, scene after scene.
 
-    A block that cannot be integrated is halved until what fails stands alone.
+    Those that fail are told and left out: a block that cannot be integrated is halved until what
+    fails stands alone. pushed: see `assemble`. poke: called at every step.
     """
-    n = len(starts)
-    times = scene.plan.times
+    n = sum(len(scene) for scene in scenes)
     result = BlockResult(
         {name: np.full(n, np.nan) for name in SUMMARY},
         {name: np.full((n, len(times), *shape_of(name)), np.nan) for name in fields},
         times,
     )
-    sound = _sound(scene, starts, result)
-    _compute(scene, model, provider, starts, sound, discard, poke, result)
+    parts: list[Part] = []
+    first = 0
+    for scene in scenes:
+        lanes = _sound(scene, first, result)
+        parts.append((scene, lanes, first + lanes))
+        first += len(scene)
+    _Integration(times, discard, workshop, pushed, poke, result).compute(parts)
     return result
 
 
-def _sound(scene: Scene, starts: Starts, result: BlockResult) -> NDArray[np.intp]:
+def _sound(scene: Simulation, first: int, result: BlockResult) -> Indices:
     """Those that may start: not in a singularity of the flow."""
-    everyone = np.arange(len(starts))
-    flow = scene.loaded.flow
+    everyone = np.arange(len(scene))
+    flow = scene.flow
     if not len(flow.singular_points):
         return everyone
-    k, axes = scene.loaded.case.body.aspect_ratio, rotation.axis(starts.quaternion)
-    for i in everyone:
+    k, axes = scene.body.aspect_ratio, rotation.axis(scene.quaternion)
+    sound = []
+    for i in everyone.tolist():
         try:
-            check_singularities(flow, starts.position[i], axes[i], k)
+            check_singularities(flow, scene.position[i], axes[i], k)
+            sound.append(i)
         except FlowError as error:
-            result.failed[int(i)] = str(error)
-    return np.array([i for i in everyone if i not in result.failed], dtype=np.intp)
+            result.failed[first + i] = str(error)
+    return np.array(sound, dtype=np.intp)
 
 
-def _compute(
-    scene: Scene,
-    model: BodyModel,
-    provider: Any,
-    starts: Starts,
-    chosen: NDArray[np.intp],
-    discard: float,
-    poke: Callable[[], bool],
-    result: BlockResult,
-) -> None:
-    """Fill the results of the chosen trajectories, halving on failure."""
-    if not len(chosen):
-        return
-    begin = clock.perf_counter()
-    case = scene.loaded.case
-    assert case.time is not None
-    some = starts.at(chosen)
-    try:
-        loads, constraints = loads_and_constraints(scene.loaded, float(result.times[-1]))
-        equations = RigidBodyEquations(
-            model,
-            provider,
-            some.stokes_number,
-            len(chosen),
-            loads,
-            constraints,
-            evaluation="compiled",  # a sweep repays the import, however small its blocks
-            inertia=case.body.inertia,
-        )
-        initial = equations.initial_state(
-            some.position, some.quaternion, some.velocity, some.angular_velocity
-        )
-        trajectory = integrate(
-            equations,
-            initial,
-            result.times,
-            case.time.tolerance,
-            chunk_samples=len(result.times) + 1,
-            interrupted=poke,
-            longest_step=None if equations.steady else float(result.times[-1]) / 50.0,
-        )
-        if trajectory.refusal or trajectory.failure:
-            raise ConvergenceError(trajectory.refusal or trajectory.failure)
-        if not np.isfinite(trajectory.states).all():
-            raise ConvergenceError("the state is not finite")
-    except (ConvergenceError, FlowError, ArithmeticError) as error:
-        if len(chosen) == 1:
-            result.failed[int(chosen[0])] = " ".join(str(error).split())
+@dataclass
+class _Integration:
+    """Fills the results of a block."""
+
+    times: Array
+    discard: float
+    workshop: Workshop
+    pushed: bool
+    poke: Callable[[], bool]
+    result: BlockResult
+
+    def compute(self, parts: list[Part]) -> None:
+        """Integrate and summarise some lanes, halving on failure."""
+        parts = [part for part in parts if len(part[1])]
+        if not parts:
             return
-        half = len(chosen) // 2
-        for part in (chosen[:half], chosen[half:]):
-            _compute(scene, model, provider, starts, part, discard, poke, result)
-        return
-    result.steps += trajectory.steps * len(chosen)
-    result.evaluations += trajectory.evaluations * len(chosen)
-    _summarise(scene, equations, trajectory, chosen, discard, result)
-    result.summary["wall_time"][chosen] = (clock.perf_counter() - begin) / len(chosen)
+        begin = clock.perf_counter()
+        rows = np.concatenate([row for _, _, row in parts])
+        try:
+            assembled = assemble(
+                [scene.at(lanes) for scene, lanes, _ in parts],
+                self.workshop,
+                checked=True,
+                pushed=self.pushed,
+                evaluation="compiled",  # a sweep repays the import, however small its blocks
+            )
+            trajectory = assembled.trajectory(
+                self.times, chunk_samples=len(self.times) + 1, interrupted=self.poke
+            )
+            if trajectory.refusal or trajectory.failure:
+                raise ConvergenceError(trajectory.refusal or trajectory.failure)
+            if not np.isfinite(trajectory.states).all():
+                raise ConvergenceError("the state is not finite")
+        except (ConvergenceError, FlowError, SceneError, ArithmeticError) as error:
+            if len(rows) == 1:
+                self.result.failed[int(rows[0])] = " ".join(str(error).split())
+                return
+            for half in _halves(parts, len(rows) // 2):
+                self.compute(half)
+            return
+        self.result.steps += trajectory.steps * len(rows)
+        self.result.evaluations += trajectory.evaluations * len(rows)
+        self._summarise(assembled, trajectory, rows)
+        self.result.summary["wall_time"][rows] = (clock.perf_counter() - begin) / len(rows)
+
+    def _summarise(self, assembled: Assembled, trajectory: Trajectory, rows: Indices) -> None:
+        """Quantities, averages and final states of integrated lanes."""
+        result, times = self.result, self.times
+        wanted = (*BASIC, *(name for name in result.quantities if name not in BASIC))
+        samples = assembled.observe(times, trajectory.states, wanted)
+        for name, array in result.quantities.items():
+            array[rows] = samples[name].swapaxes(0, 1)
+        table = result.summary
+        averages = assembled.averages(times, samples, self.discard)
+        for name in ("mean_velocity", "velocity_change"):
+            averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
+            del averages[name]
+        for name, values in averages.items():
+            table[name][rows] = values
+        for name in ("position", "velocity", "angular_velocity"):
+            for i in range(3):
+                table[f"final_{name}_{i + 1}"][rows] = samples[name][-1][:, i]
+        last = rotation.normalize(trajectory.states[-1, :, 3:7])
+        for i in range(4):
+            table[f"final_orientation_{i}"][rows] = last[:, i]
+        table["end"][rows] = float(times[-1])
+        table["steps"][rows] = trajectory.steps
+        table["rhs_evaluations"][rows] = trajectory.evaluations
+        estimates = assembled.error_estimates(float(times[-1]))
+        for lanes, scene, estimate in zip(
+            assembled.slices(), assembled.parts, estimates, strict=True
+        ):
+            table["error_estimate"][rows[lanes]] = estimate
+            table["jeffery_period"][rows[lanes]] = np.nan if scene.period is None else scene.period
 
 
-def _summarise(
-    scene: Scene,
-    equations: RigidBodyEquations,
-    trajectory: Trajectory,
-    chosen: NDArray[np.intp],
-    discard: float,
-    result: BlockResult,
-) -> None:
-    """Quantities, averages and final states of an integrated block."""
-    case, plan = scene.loaded.case, scene.plan
-    steady = scene.loaded.flow.steady
-    wanted = {*BASIC, *result.quantities}
-    frame = plan.frame
-    samples = quantities(equations, result.times, trajectory.states, steady, wanted, frame.shear)
-    for name, array in result.quantities.items():
-        array[chosen] = samples[name].swapaxes(0, 1)
-    table = result.summary
-    averages = turn_averages(result.times, samples, case.body.aspect_ratio, frame, discard)
-    for name in ("mean_velocity", "velocity_change"):
-        averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
-        del averages[name]
-    for name, values in averages.items():
-        table[name][chosen] = values
-    final = {
-        "position": samples["position"][-1],
-        "velocity": samples["velocity"][-1],
-        "angular_velocity": samples["angular_velocity"][-1],
-    }
-    for name, vectors in final.items():
-        for i in range(3):
-            table[f"final_{name}_{i + 1}"][chosen] = vectors[:, i]
-    last = rotation.normalize(trajectory.states[-1, :, 3:7])
-    for i in range(4):
-        table[f"final_orientation_{i}"][chosen] = last[:, i]
-    assert case.time is not None
-    horizon = float(result.times[-1])
-    rate = float(np.linalg.norm(scene.loaded.flow.gradient(plan.position)))
-    slenderness = max(case.body.aspect_ratio, 1.0 / case.body.aspect_ratio)
-    model_error = equations.model.error_estimate * rate * horizon * slenderness
-    table["error_estimate"][chosen] = case.time.tolerance + model_error
-    table["jeffery_period"][chosen] = np.nan if plan.period is None else plan.period
-    table["end"][chosen] = horizon
-    table["steps"][chosen] = trajectory.steps
-    table["rhs_evaluations"][chosen] = trajectory.evaluations
+def _halves(parts: list[Part], count: int) -> tuple[list[Part], list[Part]]:
+    """The first lanes, and the rest."""
+    first: list[Part] = []
+    rest: list[Part] = []
+    for scene, lanes, rows in parts:
+        take = min(count, len(lanes))
+        first.append((scene, lanes[:take], rows[:take]))
+        rest.append((scene, lanes[take:], rows[take:]))
+        count -= take
+    return first, rest

@@ -6,20 +6,18 @@ import argparse
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from qbxstokes.case.document import parse, read_text
+from qbxstokes.case.document import document_of, parse, plain, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.results import Result, free_name, load
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.command import compute_case
-from qbxstokes.runs.report import plain
 
 if TYPE_CHECKING:
     from qbxstokes.io.sweep_result import SweepResult
@@ -73,8 +71,7 @@ def _computed(
 
     def read() -> LoadedCase:
         if isinstance(case, Mapping):
-            text = json.dumps(plain({**case, **more}), indent=1)
-            document = replace(parse(text, _NAME), is_file=False)
+            document = document_of({**case, **more}, _NAME)
         else:
             document = parse(read_text(path), str(path))
             for key, value in more.items():

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,22 @@ from qbxstokes.runs.parallel import guarded, missing_message, on_root, world
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase
     from qbxstokes.case.time import Time
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a task is carried out with: ranks, case, plan and target (rank 0 alone plans), words.
+
+    petsc: the command line that is left for PETSc.
+    """
+
+    comm: Any
+    loaded: LoadedCase
+    plan: Any
+    target: Path
+    options: argparse.Namespace
+    petsc: Sequence[str]
+    clock: Clock
 
 
 def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:
@@ -47,21 +64,25 @@ def compute_case(
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
         from qbxstokes.case.load import from_document
-        from qbxstokes.runs.report import tell_plan
-        from qbxstokes.runs.summary import explain, plan_facts, summary_text
+        from qbxstokes.runs.target import target_of
         from qbxstokes.runs.tasks import plan_of
+
+    own: list[Any] = []
 
     def planned() -> Any:
         loaded = read()
-        return loaded.document, loaded.space, plan_of(loaded, options.overwrite)
+        own.extend([loaded, plan_of(loaded)])
+        return loaded.document, loaded.space, target_of(loaded, options.overwrite)
 
     with clock.part("read and plan"):
-        document, space, plan = on_root(comm, planned)
-        loaded = from_document(document, path, space)
+        document, space, target = on_root(comm, planned)
+        # Every rank makes the same of the document.
+        loaded, plan = own or (from_document(document, path, space), None)
+    job = Job(comm, loaded, plan, target, options, petsc, clock)
     if loaded.case.task == "field":
         from qbxstokes.runs.field_run import run_field_case
 
-        return run_field_case(comm, loaded, plan, options, petsc, clock)
+        return run_field_case(job)
     if loaded.case.task == "study":
         from qbxstokes.app.study.run import run_studies
 
@@ -70,49 +91,68 @@ def compute_case(
         from qbxstokes.app.tabulate import run_tables
 
         return run_tables(comm, loaded, plan, options, petsc, clock)
-    speak = comm.rank == 0 and not (options.quiet or options.json)
     if loaded.space is not None:
         from qbxstokes.runs.sweep import sweep_command
 
-        return sweep_command(comm, loaded, options, petsc, clock)
-    if tell_plan(comm, loaded, options, lambda: explain(loaded, plan), lambda: plan_facts(plan)):
+        return sweep_command(job)
+    return run_motion_case(job)
+
+
+def run_motion_case(job: Job) -> int:
+    """Carry out `task: motion` of a single trajectory; returns the exit status."""
+    comm, loaded, plan, options = job.comm, job.loaded, job.plan, job.options
+    with job.clock.part("import"):
+        from qbxstokes.runs.report import tell_plan
+        from qbxstokes.runs.summary import explain, plan_facts, summary_text
+
+    if tell_plan(
+        comm,
+        loaded,
+        options,
+        lambda: explain(loaded, plan, job.target),
+        lambda: plan_facts(plan, job.target),
+    ):
         return 0
-    with clock.part("import"):
+    with job.clock.part("import"):
         from qbxstokes.runs.provenance import start_petsc
 
-    PETSc, record = start_petsc(comm, loaded, petsc, clock)
-    with clock.part("import"):
+    PETSc, record = start_petsc(comm, loaded, job.petsc, job.clock)
+    with job.clock.part("import"):
+        from qbxstokes.io.cache import open_cache
         from qbxstokes.petsc import session
         from qbxstokes.runs.interrupt import Interruption
         from qbxstokes.runs.motion import run_motion
         from qbxstokes.runs.recording import Recording
         from qbxstokes.runs.rows import RowTeam, with_team
-        from qbxstokes.simulation.hydrodynamics import open_cache
+        from qbxstokes.simulation.hydrodynamics import Workshop
 
     # A single trajectory has nothing to share out: rank 0 computes it, so that any number of
     # ranks gives the numbers of one. Only the rows of the operators are formed by all.
     def compute(team: RowTeam) -> dict[str, Any]:
         # Options of the solver want to be seen at work.
-        cache = open_cache(loaded, options.no_cache or bool(session.solver_options(PETSc)))
+        off = options.no_cache or bool(session.solver_options(PETSc))
+        workshop = Workshop(team, open_cache(loaded.case.hydrodynamics.cache, off))
         recording = Recording(
             loaded,
             plan,
+            job.target,
             session.stepper_options(PETSc),
             options.resume,
             options.overwrite or loaded.case.output.overwrite,
         )
         if recording.finished is not None:
             return {"result": str(recording.finished), "finished_before": True}
-        return run_motion(loaded, plan, clock, record, recording, interruption, team, cache)
+        return run_motion(loaded, plan, job.clock, record, recording, interruption, workshop, team)
 
     def help_with_field(*arguments: Any) -> None:
         from qbxstokes.runs import field
 
-        field.help_with_field(comm, loaded, clock, *arguments)
+        field.help_with_field(comm, loaded, job.clock, *arguments)
 
     services = {"field": help_with_field}
     with Interruption(patient=comm.rank != 0) as interruption:
         summary = on_root(comm, with_team(comm, compute, services))
+    speak = comm.rank == 0 and not (options.quiet or options.json)
     if "finished_before" in summary:
         if comm.rank == 0 and options.json:
             print(json.dumps(summary, indent=2))
@@ -124,7 +164,7 @@ def compute_case(
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)
         summary["unused_petsc_options"] = session.unused_options(PETSc)
         if options.json:
-            from qbxstokes.runs.report import plain
+            from qbxstokes.case.document import plain
 
             print(json.dumps(plain(summary), indent=2))
         elif speak:

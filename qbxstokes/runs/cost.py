@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
+from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.reference import faxen
-from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scene, Scenes
+from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.simulation import Simulation, assemble
 
 # Bodies from which on some of a block need shorter steps than its first.
 SEVERAL = 8
@@ -119,32 +119,36 @@ def scene_weight(scenes: Scenes, number: int, constants: Constants = XEON) -> fl
     from qbxstokes.motion.forecast import STAGES, Forecast
 
     scene, members = scenes.scene(number), scenes.first_members(number)
-    case, plan = scene.loaded.case, scene.plan
-    assert case.time is not None
+    simulation, times = scene.plan.simulation, scene.plan.times
     values = scenes.space.values(members)
-    stokes_number = float(np.min(values.get(STOKES, case.body.stokes_number)))
-    equations, start = _equations(scene, stokes_number)
-    forecast = Forecast(equations, 0.0, start, float(plan.times[-1]), case.time.tolerance)
+    stokes_number = float(np.min(values.get(STOKES, scene.loaded.case.body.stokes_number)))
+    body = simulation.body.with_inertia(stokes_number, simulation.body.inertia)
+    alone = Simulation(
+        body,
+        simulation.flow,
+        position=simulation.position[0],
+        orientation=simulation.quaternion[0],
+        tolerance=simulation.tolerance,
+    )
+    assembled = assemble([alone], checked=True, maker=_exact)
+    forecast = Forecast(
+        assembled.equations, 0.0, assembled.initial, float(times[-1]), simulation.tolerance
+    )
     method = forecast.method
     kind = "rk" if method in ("5dp", "8vr") else method
     crowd = constants.steps(stokes_number > 0) if len(members) >= SEVERAL else 1.0
     # The other formulas have an interpolant as good as their steps.
-    sampled = STAGES * len(plan.times) if method == "8vr" else 0
+    sampled = STAGES * len(times) if method == "8vr" else 0
     return crowd * forecast.evaluations(kind) + sampled
 
 
-def _equations(scene: Scene, stokes_number: float) -> tuple[RigidBodyEquations, np.ndarray]:
-    """Equations with resistances in closed form and the flow about the start; the start (1, n)."""
-    case, plan = scene.loaded.case, scene.plan
-    k, flow = case.body.aspect_ratio, scene.loaded.flow
-    linear, quadratic, cubic = faxen.body_coefficients(k)
-    law = FaxenCoefficients(linear, quadratic, cubic)
-    model = BodyModel(k, Resistance(*faxen.resistance(k)), law, None, 0.0)
+def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
+    """The body by closed forms, and the flow about the start."""
+    flow, place = scene.flow, scene.position[0]
     near = flow.polynomial or PolynomialFlow(
-        flow.velocity(plan.position), flow.gradient(plan.position), origin=plan.position
+        flow.velocity(place), flow.gradient(place), origin=place
     )
-    equations = RigidBodyEquations(model, near, stokes_number)
-    return equations, equations.initial_state(plan.position, plan.quaternion)
+    return Hydrodynamic(exact_model(scene.body.aspect_ratio), near)
 
 
 def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:

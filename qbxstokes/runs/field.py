@@ -14,13 +14,15 @@ from qbxstokes.bie.field import Disturbance
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
-from qbxstokes.io.results import ResultWriter, check_writable, free_name
+from qbxstokes.io.results import ResultWriter
 from qbxstokes.runs.clock import Clock
-from qbxstokes.runs.field_flow import FieldFlow, Instant
+from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import chosen_instants, targets_of
 from qbxstokes.runs.field_work import FieldWork
-from qbxstokes.runs.plan import check_flow, result_path, start_quaternion
 from qbxstokes.runs.rows import ALONE, RowTeam
+from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.from_case import body_of, pointed, start_quaternion
+from qbxstokes.simulation.simulation import Assembled, Simulation
 
 Array = NDArray[np.float64]
 
@@ -30,27 +32,23 @@ FIELD = "field"
 
 @dataclass(frozen=True)
 class FieldPlan:
-    """The work of a field: where the body is, which points, where the result goes."""
+    """The work of a field: where the body is, and which points."""
 
     position: Array
     quaternion: Array
-    output: Path
     points: int
     needs: tuple[str, ...]
     skips: tuple[str, ...] = ()
 
 
-def plan_field(loaded: LoadedCase, overwrite: bool) -> FieldPlan:
+def plan_field(loaded: LoadedCase) -> FieldPlan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
     assert case.field is not None  # the schema requires it for this task
-    output = result_path(loaded)
-    overwrite = overwrite or case.output.overwrite
-    check_writable(output, overwrite)
-    if not overwrite:
-        output = free_name(output)
-    position, quaternion = np.array(case.start.position), start_quaternion(case)
-    check_flow(loaded, position, quaternion)
+    position = np.array(case.start.position)
+    quaternion = start_quaternion(case.start, case.body.aspect_ratio)
+    with pointed(loaded):
+        Simulation(body_of(loaded), loaded.flow, position=position, orientation=quaternion).check()
     targets = targets_of(loaded, case.field)
     points = sum(target.size for target in targets)
     needs = [f"integral equation of a body that is {case.field.body}"]
@@ -65,13 +63,14 @@ def plan_field(loaded: LoadedCase, overwrite: bool) -> FieldPlan:
         skips.append("stress: not asked for")
     if case.field.tracers is not None and case.task == "field":
         needs.append("paths of tracers around a body that stays in this state")
-    return FieldPlan(position, quaternion, output, points, tuple(needs), tuple(skips))
+    return FieldPlan(position, quaternion, points, tuple(needs), tuple(skips))
 
 
 def run_field(
     comm: Any,
     loaded: LoadedCase,
     plan: FieldPlan,
+    target: Path,
     clock: Clock,
     provenance: Mapping[str, Any],
     overwrite: bool,
@@ -96,7 +95,7 @@ def run_field(
         work.write(None)
         return {}
     replace = overwrite or case.output.overwrite
-    with ResultWriter(plan.output, case.task, provenance, replace) as writer:
+    with ResultWriter(target, case.task, provenance, replace) as writer:
         facts = work.write(writer)
         around = flow.around(instant)
         disturbance = around.disturbance
@@ -135,7 +134,7 @@ def run_field(
             "largest_error": max(errors.values()),
             "wall_times": dict(clock.parts),
         }
-        summary["files"] = export_field(loaded, clock, writer.file, plan.output)
+        summary["files"] = export_field(loaded, clock, writer.file, target)
         summary["result"] = str(writer.finish(summary))
     summary["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     summary["wall_times"] = {**clock.parts, "total": clock.total}
@@ -162,13 +161,12 @@ def field_of_motion(
     samples: Mapping[str, Array],
     clock: Clock,
     writer: ResultWriter,
-    equations: Any,
-    initial: Array,
+    assembled: Assembled,
     team: RowTeam | None,
 ) -> dict[str, Any]:
     """The field at the chosen instants of a motion, into its open result file; for rank 0.
 
-    samples: what `app.motion.quantities` gives at the times (T,). team: the other ranks, which
+    samples: quantities (T, ...) at the times (T,). team: the other ranks, which
     take part by `help_with_field`.
     """
     section = loaded.case.field
@@ -187,7 +185,7 @@ def field_of_motion(
     flow = FieldFlow(comm, loaded, section, clock)
     facts = FieldWork(comm, flow, instants).write(writer)
     if section.tracers is not None:
-        paths = flow.moving_tracers(equations, initial, float(times[-1]))
+        paths = flow.moving_tracers(assembled.equations, assembled.initial, float(times[-1]))
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 

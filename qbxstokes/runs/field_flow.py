@@ -2,147 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import (
-    Disturbance,
-    FlowAround,
-    mobility_disturbance,
-    resistance_disturbance,
-    resolving_grid,
-)
+from qbxstokes.bie.field import FlowAround
 from qbxstokes.case.field import FieldSection
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.field_targets import Targets, targets_of
 from qbxstokes.runs.rows import rows_by_all
+from qbxstokes.simulation.around import AroundBody, Instant
+from qbxstokes.simulation.from_case import body_of
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Instant:
-    """The body at one instant, in space; velocities None where the body is free."""
-
-    time: float
-    position: Array
-    quaternion: Array
-    velocity: Array | None = None
-    angular_velocity: Array | None = None
-    force: Array = field(default_factory=lambda: np.zeros(3))
-    torque: Array = field(default_factory=lambda: np.zeros(3))
-
-    @property
-    def rotation(self) -> Array:
-        """Matrix (3, 3) from body to space."""
-        return rotation.matrix(self.quaternion)
-
-
 class FieldFlow:
-    """Operators formed once, and the flow around the body at any number of instants."""
+    """The flow around the body of a case, formed by all ranks, and the lines that follow it."""
 
     def __init__(self, comm: Any, loaded: LoadedCase, section: FieldSection, clock: Clock) -> None:
         self.comm, self.loaded, self.section, self.clock = comm, loaded, section, clock
         self.flow = loaded.flow
-        self.spheroid = Spheroid(loaded.case.body.aspect_ratio)
+        body = body_of(loaded)
+        self.spheroid = body.shape
         self.targets = targets_of(loaded, section)
-        self.operators: Any = None
-        self.solvers: dict[str, Any] = {}
-        self._latest: tuple[Instant, FlowAround] | None = None
+        self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
 
     def form(self, first: Instant) -> None:
-        """Form the operators on a grid that resolves the flow at the first instant, by all ranks.
-
-        Their completion is the spread one.
-        """
-        from dataclasses import replace
-
-        from qbxstokes.bie.accuracy import choose_scheme
-        from qbxstokes.bie.operators import surface_operators
-        from qbxstokes.qbx.operator import independent_rows
-        from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of
-
-        section, degree = self.loaded.case.hydrodynamics, self.flow.degree
-        scheme: Any = explicit_scheme(section)
-        tolerance = min(section.tolerance, self.section.tolerance)
+        """Form the operators by all ranks, on a grid that resolves the flow at first."""
         with self.clock.part("set-up"):
-            if degree is not None:
-                n_theta, n_phi = max(8, degree + 5), 2 * degree + 4
-            else:
-                background = self._background(first)
-                n_theta, n_phi = resolving_grid(self.spheroid, background, 0.1 * tolerance)
-            if scheme is None:
-                scheme = choose_scheme(tolerance, n_theta, side=side_of(section))
-            elif section.n_theta is None:
-                scheme = replace(scheme, n_theta=max(scheme.n_theta, n_theta))
-            n_phi = section.n_phi or n_phi
-            wanted = independent_rows(scheme.n_theta)
-            rows = rows_by_all(self.comm, self.spheroid, scheme, n_phi // 2 + 1, wanted, True)
-            self.operators = surface_operators(self.spheroid, scheme, n_phi, "surface", rows)
-
-    def _background(self, instant: Instant) -> Any:
-        """Velocity of the background flow at points of the body frame, in the body frame."""
-        turn, flow = instant.rotation, self.flow
-
-        def background(points: Array) -> Array:
-            space = points @ turn.T + instant.position
-            return np.asarray(flow.velocity(space, instant.time) @ turn)
-
-        return background
+            self.solution.form(first, partial(rows_by_all, self.comm))
 
     def around(self, instant: Instant) -> FlowAround:
         """The flow around the body at the instant; solved again only for another one."""
-        if self._latest is not None and self._latest[0] is instant:
-            return self._latest[1]
-        turn, flow = instant.rotation, self.flow
         with self.clock.part("integral equation"):
-            disturbance: Disturbance
-            if instant.velocity is None or instant.angular_velocity is None:
-                disturbance = mobility_disturbance(
-                    self.operators,
-                    self._background(instant),
-                    turn.T @ instant.force,
-                    turn.T @ instant.torque,
-                    self._solver,
-                    flow.degree,
-                )
-            else:
-                disturbance = resistance_disturbance(
-                    self.operators,
-                    self._background(instant),
-                    turn.T @ instant.velocity,
-                    turn.T @ instant.angular_velocity,
-                    self._solver,
-                    flow.degree,
-                )
-        around = FlowAround(disturbance, flow, instant.position, turn, instant.time)
-        self._latest = instant, around
-        return around
-
-    def _solver(self, operator: Any, grid: Any) -> Any:
-        from qbxstokes.petsc.gmres import GmresSolver
-        from qbxstokes.simulation.hydrodynamics import solver_tolerance
-
-        kind = "mobility" if operator is self.operators.mobility else "resistance"
-        if kind not in self.solvers:
-            section = self.loaded.case.hydrodynamics
-            self.solvers[kind] = GmresSolver(
-                operator, grid, solver_tolerance(section), section.preconditioner
-            )
-        return self.solvers[kind]
+            return self.solution.at(instant)
 
     def last_solve(self) -> tuple[int, float]:
         """Iterations and true residual of the latest solution."""
-        (solver,) = self.solvers.values()
-        record = solver.records[-1]
-        return record.iterations, record.true_residual
+        return self.solution.last_solve()
 
     def _starts(self, lines: Any, instant: Instant) -> Array:
         """Starting points (N, 3) of lines in space."""
@@ -202,7 +105,7 @@ class FieldFlow:
 
         asked, k = self.section.tracers, self.spheroid.aspect_ratio
         assert asked is not None
-        flow = MovingFlow(self.operators.grid, self.flow, self.flow.degree)
+        flow = MovingFlow(self.solution.operators.grid, self.flow, self.flow.degree)
         body = np.asarray(initial, float).reshape(-1)
         n_body = body.size
         position, turn = body[:3], rotation.matrix(rotation.normalize(body[3:7]))

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
-from qbxstokes.runs.field import FieldPlan, run_field
-from qbxstokes.runs.plan import result_path
+from qbxstokes.runs.field import FieldPlan, plan_field, run_field
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -27,35 +23,35 @@ from qbxstokes.runs.report import (
     vector,
 )
 from qbxstokes.runs.summary import flow_text, shape_text
+from qbxstokes.runs.target import result_path
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 
-def run_field_case(
-    comm: Any,
-    loaded: LoadedCase,
-    plan: FieldPlan,
-    options: argparse.Namespace,
-    petsc: Sequence[str],
-    clock: Clock,
-) -> int:
+def run_field_case(job: Job) -> int:
     """Compute, write and tell; returns the exit status."""
+    comm, loaded, options, clock = job.comm, job.loaded, job.options, job.clock
+    # The other ranks plan as rank 0 did, which has found nothing wrong.
+    plan = job.plan or plan_field(loaded)
 
     def facts() -> dict[str, Any]:
-        return {"points": plan.points, "needs": list(plan.needs), "output": str(plan.output)}
+        return {"points": plan.points, "needs": list(plan.needs), "output": str(job.target)}
 
-    if tell_plan(comm, loaded, options, lambda: explain_field(loaded, plan), facts):
+    if tell_plan(comm, loaded, options, lambda: explain_field(loaded, plan, job.target), facts):
         return 0
     from qbxstokes.petsc import session
     from qbxstokes.runs.provenance import start_petsc
 
-    PETSc, record = start_petsc(comm, loaded, petsc, clock)
+    PETSc, record = start_petsc(comm, loaded, job.petsc, clock)
     with compilation_told(comm, not options.quiet):
-        summary = run_field(comm, loaded, plan, clock, record, options.overwrite)
+        summary = run_field(comm, loaded, plan, job.target, clock, record, options.overwrite)
     unused = session.unused_options(PETSc)
     error = comm.bcast(summary.get("largest_error"))
     if comm.rank == 0:
         summary["unused_petsc_options"] = unused
         if options.json:
-            from qbxstokes.runs.report import plain
+            from qbxstokes.case.document import plain
 
             print(json.dumps(plain(summary), indent=2))
         elif not options.quiet:
@@ -77,7 +73,7 @@ def _scene(loaded: LoadedCase) -> Rows:
     yield "flow", flow_text(loaded)
 
 
-def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
+def explain_field(loaded: LoadedCase, plan: FieldPlan, target: Path) -> str:
     """What is computed, what is skipped, and where the result goes."""
     return render(
         f"Plan: {loaded.case.title or loaded.case.task}",
@@ -86,7 +82,7 @@ def explain_field(loaded: LoadedCase, plan: FieldPlan) -> str:
             "Scene": _scene(loaded),
             "Needs": [("", f"- {text}") for text in plan.needs],
             "Skips": [("", f"- {text}") for text in plan.skips],
-            "Writes": [("", str(plan.output))],
+            "Writes": [("", str(target))],
         },
     )
 

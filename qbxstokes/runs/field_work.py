@@ -22,10 +22,11 @@ from qbxstokes.errors import ConvergenceError, OutputError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.results import ResultWriter
 from qbxstokes.runs import handout
-from qbxstokes.runs.field_flow import FieldFlow, Instant
+from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import Targets, surface_angles
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.parallel import agree, on_root
+from qbxstokes.simulation.around import Instant
 
 Array = NDArray[np.float64]
 
@@ -269,7 +270,7 @@ class FieldWork:
         if self.section.check:
             largest["table against QBX"] = max(found.difference for found in everything)
         iterations, residuals = zip(*solves.values(), strict=True)
-        grid = self.flow.operators.grid
+        grid = self.flow.solution.operators.grid
         last = self.flow.around(self.instants[-1]).disturbance
         return {
             "errors": largest,

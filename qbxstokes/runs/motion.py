@@ -12,23 +12,20 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, Interrupted
-from qbxstokes.geometry import rotation
-from qbxstokes.io.cache import Cache
 from qbxstokes.io.results import ResultWriter
-from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
-from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Trajectory
-from qbxstokes.qbx.operator import layer_rows
 from qbxstokes.runs.clock import Clock
-from qbxstokes.runs.compare import Comparison, compare, shear_rate
 from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.rows import RowTeam
-from qbxstokes.runs.watch import build_events, events_summary
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, form_hydrodynamics
-from qbxstokes.simulation.loads import loads_and_constraints
+from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
+from qbxstokes.simulation.from_case import pointed
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.result import integration_facts
+from qbxstokes.simulation.simulation import Assembled
+from qbxstokes.simulation.watch import events_summary
 
 Array = NDArray[np.float64]
 
@@ -40,49 +37,29 @@ def run_motion(
     provenance: Mapping[str, Any],
     recording: Recording,
     interruption: Interruption,
+    workshop: Workshop,
     team: RowTeam | None = None,
-    cache: Cache | None = None,
 ) -> dict[str, Any]:
     """Compute the motion on this process, write the result file, and return the summary.
 
-    team: the ranks that share the set-up and the field. cache: where operators are kept. Raises
-    Interrupted where a signal asks for it, after what there is has been written and made safe, and
-    ConvergenceError where the motion cannot be followed further, after what there is was written.
+    workshop: who shares the set-up, and where operators are kept. team: the ranks that share the
+    field. Raises Interrupted where a signal asks for it, after what there is has been written and
+    made safe, and ConvergenceError where the motion cannot be followed further, likewise.
     """
     case = loaded.case
-    assert case.time is not None
-    with clock.part("set-up"):
-        loads, constraints = loads_and_constraints(loaded, float(plan.times[-1]))
-        body = form_hydrodynamics(loaded, plan, team or layer_rows, cache)
-    start, stokes = case.start, case.body.stokes_number
-    equations = RigidBodyEquations(
-        body.model,
-        body.provider,
-        stokes,
-        loads=loads,
-        constraints=constraints,
-        inertia=case.body.inertia,
-    )
-    initial = equations.initial_state(
-        plan.position,
-        plan.quaternion,
-        None if start.velocity == "with_flow" else start.velocity,
-        None if start.angular_velocity == "with_flow" else start.angular_velocity,
-    )
-    events = build_events(loaded, plan, equations, initial)
+    with clock.part("set-up"), pointed(loaded):
+        assembled = plan.simulation.assemble(workshop, checked=True)
+        events = assembled.watch()
     with clock.part("motion"):
-        events.begin(0.0, initial)
-        receive = recording.receiver(equations, events)
+        events.begin(0.0, assembled.initial)
+        receive = recording.receiver(assembled, events)
         interruption.listening = True
-        trajectory = integrate(
-            equations,
-            recording.start or initial,
+        trajectory = assembled.trajectory(
             plan.times,
-            case.time.tolerance,
+            recording.start,
             on_chunk=receive,
             interrupted=interruption.asked,
             observe=events,
-            longest_step=None if equations.steady else float(plan.times[-1]) / 50.0,
             **recording.limits,
         )
         if trajectory.refusal:
@@ -94,11 +71,11 @@ def run_motion(
         recording.save()
         if not recording.saved:
             raise _interrupted(recording, {}, interruption.signal)
-    summary = _facts(loaded, plan, body, equations, trajectory, events, recording)
+    summary = _facts(loaded, plan, assembled, trajectory, events, recording)
     replace = recording.overwrite or recording.replaces(recording.target)
     record = {**provenance, **recording.provenance}
     with ResultWriter(recording.target, case.task, record, replace) as writer:
-        _conclude(loaded, plan, clock, recording, writer, summary, body, equations, initial, team)
+        _conclude(loaded, plan, clock, recording, writer, summary, assembled, team)
     if case.field is not None and summary["complete"]:
         from qbxstokes.runs.field import draw_pictures
 
@@ -119,9 +96,7 @@ def _conclude(
     recording: Recording,
     writer: ResultWriter,
     summary: dict[str, Any],
-    body: Hydrodynamic,
-    equations: RigidBodyEquations,
-    initial: Array,
+    assembled: Assembled,
     team: RowTeam | None,
 ) -> None:
     """Samples, comparison, field and summary into the result file."""
@@ -140,16 +115,7 @@ def _conclude(
     comparison = Comparison()
     if case.compare.reference != "none" and summary["complete"] and len(times):
         with clock.part("comparison"):
-            v0, w0 = equations.velocities(0.0, initial)
-            known = {
-                "start_position": plan.position,
-                "start_quaternion": plan.quaternion,
-                "start_axis": rotation.axis(plan.quaternion),
-                "start_velocity": v0[0],
-                "start_angular_velocity": w0[0],
-            }
-            held = loads_and_constraints(loaded, float(plan.times[-1]))
-            comparison = compare(case, loaded.flow, body.model, times, {**samples, **known}, *held)
+            comparison = compare_samples(assembled, times, samples)
     summary |= {
         "errors": comparison.errors,
         "references": comparison.references,
@@ -159,9 +125,7 @@ def _conclude(
     if case.field is not None and summary["complete"]:
         from qbxstokes.runs.field import export_field, field_of_motion
 
-        summary["field"] = field_of_motion(
-            loaded, times, samples, clock, writer, equations, initial, team
-        )
+        summary["field"] = field_of_motion(loaded, times, samples, clock, writer, assembled, team)
         summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.target)
     with clock.part("output"):
         summary["wall_times"] = dict(clock.parts)
@@ -171,14 +135,13 @@ def _conclude(
 def _facts(
     loaded: LoadedCase,
     plan: Plan,
-    body: Hydrodynamic,
-    equations: RigidBodyEquations,
+    assembled: Assembled,
     trajectory: Trajectory,
     events: Events,
     recording: Recording,
 ) -> dict[str, Any]:
     """What the summary says of the computation itself."""
-    case = loaded.case
+    case, body = loaded.case, assembled.hydrodynamics[0]
     finest = getattr(body.provider, "finest", None)
     return {
         "case": str(loaded.path),
@@ -196,23 +159,14 @@ def _facts(
         },
         "cache_problems": body.problems,
         **({"resistance": vars(formed)} if (formed := body.model.formed_resistance) else {}),
-        "relaxation_times": relaxation_times(equations),
-        "integration": {
-            "method": trajectory.method,
-            "steps": trajectory.steps,
-            "rejected": trajectory.rejections,
-            "rhs_evaluations": trajectory.evaluations,
-            "jacobians": trajectory.jacobians,
-            "local_tolerance": trajectory.local_tolerance,
-            "reachable_error": trajectory.reachable,
-            "quaternion_norm_drift": trajectory.norm_drift,
-        },
+        "relaxation_times": relaxation_times(assembled.equations),
+        "integration": integration_facts(trajectory),
         "events": events_summary(events),
         "skipped": list(plan.skips),
     }
 
 
-def relaxation_times(equations: RigidBodyEquations) -> dict[str, float]:
+def relaxation_times(equations: Any) -> dict[str, float]:
     """Time scales on which a body takes up the motion of the fluid, empty for St = 0.
 
     St Theta/R_t across and along the axis, St J/R_r of the axis and about it.

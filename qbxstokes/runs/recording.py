@@ -18,12 +18,13 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfinished
 from qbxstokes.io.results import MOTION_FIELDS, TIME, ResultWriter, numbered
-from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.runs.plan import Plan, result_path
-from qbxstokes.runs.quantities import quantities
-from qbxstokes.runs.watch import columns_of, split_columns
+from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.target import result_path
+from qbxstokes.simulation.compare import orbit_drift
+from qbxstokes.simulation.simulation import Assembled
+from qbxstokes.simulation.watch import columns_of, split_columns
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,13 @@ class Recording:
     """
 
     def __init__(
-        self, loaded: LoadedCase, plan: Plan, options: list[str], resume: bool, overwrite: bool
+        self,
+        loaded: LoadedCase,
+        plan: Plan,
+        target: Path,
+        options: list[str],
+        resume: bool,
+        overwrite: bool,
     ) -> None:
         self._loaded, self._plan = loaded, plan
         self._interval = loaded.case.checkpoint.interval
@@ -62,7 +69,7 @@ class Recording:
             )
         self._identity = self._identify(options)
         self.overwrite, self.samples = overwrite, 0
-        self.run, self.target = os.urandom(16).hex(), plan.output
+        self.run, self.target = os.urandom(16).hex(), target
         self.start: Checkpoint | None = None
         self.resumed_at: float | None = None
         self._state: dict[str, Any] | None = None
@@ -73,15 +80,15 @@ class Recording:
             if found is None and not overwrite:
                 self.finished = self._finished(names)
         elif overwrite:
-            discard(plan.output)
+            discard(target)
         else:
-            left = unfinished(dict.fromkeys([result_path(loaded), plan.output]))
+            left = unfinished(dict.fromkeys([result_path(loaded), target]))
             if left is not None:
                 raise CaseError(
                     f"{left}: an unfinished run is kept in {Journal(left).folder}; go on with "
                     "--resume, or begin anew with --overwrite"
                 )
-        self.journal = Journal(plan.output)
+        self.journal = Journal(target)
         if found is not None:
             self._reopen(found)
         self._saved = (time.monotonic(), 0, 0.0)
@@ -142,7 +149,7 @@ class Recording:
     @property
     def limits(self) -> dict[str, Any]:
         """Where the integrator cuts the run, independent of the clock."""
-        steps = _CUT_STEPS[self._plan.hydrodynamics]
+        steps = _CUT_STEPS[self._plan.simulation.kind]
         span = math.inf
         if self._interval.unit == "steps":
             steps = min(steps, int(self._interval.number))
@@ -150,17 +157,14 @@ class Recording:
             span = self._interval.number * (self._plan.period or 0.0)
         return {"chunk_steps": steps, "chunk_samples": _CUT_SAMPLES, "chunk_time": span}
 
-    def receiver(self, equations: RigidBodyEquations, events: Events) -> Any:
+    def receiver(self, assembled: Assembled, events: Events) -> Any:
         """The function that takes the integrator's chunks."""
         if self._state is not None:
             events.restore(self._state)
-        steady, shear = self._loaded.flow.steady, self._plan.frame.shear
 
         def receive(chunk: Chunk) -> None:
             if len(chunk.times):
-                found = quantities(
-                    equations, chunk.times, chunk.states, steady, MOTION_FIELDS, shear
-                )
+                found = assembled.observe(chunk.times, chunk.states, tuple(MOTION_FIELDS))
                 columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION_FIELDS]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self.journal.append(SAMPLES, rows)
@@ -217,9 +221,7 @@ class Recording:
             data = split_columns(rows, _COLUMNS)
             writer.append({"time": data["time"], **{key: data[key] for key in fields}})
             first = rows[0, constant] if first is None else first
-            with np.errstate(divide="ignore", invalid="ignore"):
-                change = np.abs(rows[:, constant] / first - 1.0)
-            drift = max(drift, float(np.max(change, initial=0.0, where=np.isfinite(change))))
+            drift = max(drift, float(orbit_drift(rows[:, constant], first)))
             index = np.arange(seen, seen + len(rows))
             kept.append(rows[(index % stride == 0) | (index == total - 1)])
             seen += len(rows)

@@ -7,8 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from qbxstokes.case.document import plain
 from qbxstokes.io.results import Result
 
 if TYPE_CHECKING:
@@ -123,21 +122,6 @@ def size(count: float) -> str:
         if count < limit:
             return f"{count / scale:.3g} {unit}"
     return f"{count / 1e9:.3g} GB"
-
-
-def plain(value: Any) -> Any:
-    """`value` with arrays and NumPy numbers as what JSON knows; infinities as text."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return str(value)
-    return value
 
 
 def to_json(result: Result) -> str:

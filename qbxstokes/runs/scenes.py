@@ -1,9 +1,11 @@
 """A sweep cut into scenes and blocks, the same way whatever the number of ranks.
 
-A scene is a set of trajectories that one integration can hold: same body, flow, instants and
-tolerance, and Stokes numbers of one decade (like cost). Within a scene trajectories are cut, in
-the order of their numbers, into blocks. Scenes and blocks are numbered and made when they are
-asked for; nothing here grows with the number of trajectories but a few numbers per block.
+A scene is a set of trajectories that differ in their starts alone and in Stokes numbers of one
+decade (like cost): same body, flow, instants and tolerance. A scene that fills blocks is cut into
+them in the order of its trajectories; scenes that do not are gathered, where one integration can
+hold them: same instants, polynomial flows, bodies of like slenderness. What a block holds follows
+from the case alone. Scenes and blocks are numbered and made when they are asked for; nothing here
+grows with the number of trajectories but a few numbers per scene.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_f
 Indices = NDArray[np.int64]
 
 STOKES: Key = ("body", "stokes_number")
+ASPECT_RATIO: Key = ("body", "aspect_ratio")
 _POSITION: Key = ("start", "position")
 _MOVING = {_POSITION, ("start", "velocity")}
 _PUSHING = {"forces", "constraints"}
@@ -51,11 +54,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class Block:
-    """Trajectories integrated together."""
+    """Trajectories integrated together: pieces of one scene or of several."""
 
     number: int
-    scene: int
-    index: Indices
+    pieces: tuple[tuple[int, Indices], ...]
+
+    @property
+    def index(self) -> Indices:
+        """Numbers of all its trajectories, piece after piece."""
+        return np.concatenate([index for _, index in self.pieces])
 
 
 class Scenes:
@@ -86,7 +93,7 @@ class Scenes:
     @property
     def blocks(self) -> int:
         """Number of blocks."""
-        return int(self._first_block[-1])
+        return int(self._first_block[-1]) + len(self._gathered)
 
     @cached_property
     def sizes(self) -> Indices:
@@ -98,26 +105,64 @@ class Scenes:
 
     @cached_property
     def _first_block(self) -> Indices:
-        """Number of the first block of each scene, and of all blocks at the end."""
-        return np.concatenate([[0], np.cumsum(-(-self.sizes // self.block_size))])
+        """First block of each scene that fills blocks of its own, and the end of all those."""
+        own = np.where(self._alone, -(-self.sizes // self.block_size), 0)
+        return np.concatenate([[0], np.cumsum(own)])
+
+    @cached_property
+    def _alone(self) -> NDArray[np.bool_]:
+        """Whether a scene has blocks of its own."""
+        return (self._companies < 0) | (self.sizes >= self.block_size)
+
+    @cached_property
+    def _gathered(self) -> list[list[int]]:
+        """Scenes of the blocks that hold several, gathered in their order."""
+        blocks: list[list[int]] = []
+        latest: dict[int, tuple[int, int]] = {}  # company -> its open block, and what is in it
+        for scene in np.flatnonzero(~self._alone).tolist():
+            company, size = int(self._companies[scene]), int(self.sizes[scene])
+            place, held = latest.get(company, (-1, self.block_size))
+            if held + size > self.block_size:
+                place, held = len(blocks), 0
+                blocks.append([])
+            blocks[place].append(scene)
+            latest[company] = place, held + size
+        return blocks
 
     def block(self, number: int) -> Block:
-        """A block by its number, its trajectories in increasing order."""
+        """A block by its number, the trajectories of each piece in increasing order."""
+        own = int(self._first_block[-1])
+        if number >= own:
+            scenes = self._gathered[number - own]
+            pieces = [(s, self._members(s, 0, int(self.sizes[s]))) for s in scenes]
+            return Block(number, tuple(pieces))
         scene = int(np.searchsorted(self._first_block, number, side="right")) - 1
         start = (number - int(self._first_block[scene])) * self.block_size
         stop = min(start + self.block_size, int(self.sizes[scene]))
-        return Block(number, scene, self._members(scene, start, stop))
+        return Block(number, ((scene, self._members(scene, start, stop)),))
 
     def block_sizes(self) -> Indices:
         """Trajectories per block."""
         counts = np.diff(self._first_block)
-        sizes = np.full(self.blocks, self.block_size, dtype=np.int64)
-        sizes[self._first_block[1:] - 1] = self.sizes - (counts - 1) * self.block_size
-        return sizes
+        own = np.full(int(self._first_block[-1]), self.block_size, dtype=np.int64)
+        some = counts > 0
+        last = self.sizes - (counts - 1) * self.block_size
+        own[self._first_block[1:][some] - 1] = last[some]
+        gathered = [int(self.sizes[scenes].sum()) for scenes in self._gathered]
+        return np.concatenate([own, np.array(gathered, dtype=np.int64)])
 
     def scene_of_block(self) -> Indices:
-        """Scene of every block."""
-        return np.repeat(np.arange(self.size), np.diff(self._first_block))
+        """First scene of every block."""
+        own = np.repeat(np.arange(self.size), np.diff(self._first_block))
+        first = np.array([scenes[0] for scenes in self._gathered], dtype=np.int64)
+        return np.concatenate([own, first])
+
+    def scenes_of(self, number: int) -> list[int]:
+        """Scenes that a block holds trajectories of."""
+        own = int(self._first_block[-1])
+        if number >= own:
+            return self._gathered[number - own]
+        return [int(np.searchsorted(self._first_block, number, side="right")) - 1]
 
     def _members(self, scene: int, start: int, stop: int) -> Indices:
         """Numbers of the trajectories [start, stop) of a scene."""
@@ -151,7 +196,7 @@ class Scenes:
         data = self.space.assign(self.loaded.document.data, self.first_points(number))
         document = replace(self.loaded.document, data=data)
         loaded = from_document(document, self.loaded.path)
-        self._latest = Scene(number, loaded, make_plan(loaded, pushed=self._pushed))
+        self._latest = Scene(number, loaded, make_plan(loaded, pushed=self.pushed))
         return self._latest
 
     @property
@@ -167,7 +212,7 @@ class Scenes:
         return None if varies else self.scene(0).plan.times
 
     @cached_property
-    def _pushed(self) -> bool:
+    def pushed(self) -> bool:
         """Whether forces enter any motion of the sweep: its bodies serve every Stokes number."""
         columns = [column for _, column in self.space.columns]
         if any(column.key[0] in _PUSHING for column in columns):
@@ -190,9 +235,9 @@ class Scenes:
         moving = case.start.velocity != "with_flow" and any(case.start.velocity)
         if pushed or moving or swept & _MOVING or {key[0] for key in swept} & _PUSHING:
             return False
-        if flow is None or scene.plan.hydrodynamics != "table":
+        if flow is None or scene.plan.simulation.kind != "table":
             return False
-        return bool(flow.odd_about(scene.plan.position))
+        return bool(flow.odd_about(scene.plan.simulation.position[0]))
 
     @property
     def skips(self) -> tuple[str, ...]:
@@ -240,6 +285,44 @@ class Scenes:
         words = any(c.key[0] == "flow" and not c.numeric for _, c in self.space.columns)
         return degree is not None and degree <= 1 and not words
 
+    # -- which scenes may share a block -------------------------------------------------------
+
+    @cached_property
+    def _companies(self) -> Indices:
+        """Of every scene the number of those it may share a block with, -1 for none."""
+        scene = self.scene(0)
+        if scene.plan.simulation.kind != "table":
+            return np.full(self.size, -1)
+        per_axis = []
+        for axis, classes in zip(self.space.axes, self._classes, strict=True):
+            columns = [c for c in axis.columns if self._makes_scene(c)]
+            first = np.array([int(points[0]) for points in classes])
+            labels = [self._company_labels(column, first) for column in columns]
+            names = list(zip(*labels, strict=True)) if labels else [()] * len(classes)
+            known: dict[tuple[str, ...], int] = {}
+            per_axis.append([known.setdefault(name, len(known)) for name in names])
+        counts = tuple(max(ids) + 1 for ids in per_axis)
+        grids = np.meshgrid(*[np.array(ids) for ids in per_axis], indexing="ij")
+        return np.asarray(np.ravel_multi_index(tuple(grid.ravel() for grid in grids), counts))
+
+    def _company_labels(self, column: Column, points: Indices) -> list[str]:
+        """What tells the values of a column apart where trajectories are to share a block."""
+        time, key = self.loaded.case.time, column.key
+        assert time is not None
+        values = column.take(points)
+        own_times = time.periods is not None and key[0] in ("flow", "start", "body")
+        if key == STOKES:
+            return self._labels(column, points)
+        if own_times or not column.numeric or key[0] not in ("body", "flow", "forces"):
+            return self._labels(column, points)
+        sizes = np.abs(values).reshape(len(values), -1).max(axis=1)
+        if key == ASPECT_RATIO:
+            # Steps grow with the slenderness: bodies within a factor of four are alike.
+            with np.errstate(divide="ignore"):
+                sizes = np.maximum(sizes, 1.0 / sizes)
+            return [str(math.floor(math.log(value, 4.0))) if value < 1e9 else "" for value in sizes]
+        return [str(math.floor(math.log10(value))) if value > 0 else "" for value in sizes]
+
     # -- bodies ---------------------------------------------------------------------------------
 
     @cached_property
@@ -268,7 +351,7 @@ def _changes_body(column: Column) -> bool:
     if column.key[0] == "flow":
         # The numbers of a named flow leave its kind (polynomial or not) as it is.
         return not column.numeric
-    return column.key[:2] == ("body", "aspect_ratio") or column.key[0] == "hydrodynamics"
+    return column.key[:2] == ASPECT_RATIO or column.key[0] == "hydrodynamics"
 
 
 def block_values(scenes: Scenes, block: Block) -> Mapping[Key, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 from qbxstokes.case.constraints import FREE, LOCKED
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.runs.plan import Plan, result_path
+from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -24,6 +24,7 @@ from qbxstokes.runs.report import (
     size,
     vector,
 )
+from qbxstokes.runs.target import result_path
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
@@ -102,21 +103,21 @@ def _vector(value: Any) -> str:
     return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
 
 
-def plan_facts(plan: Plan) -> dict[str, Any]:
+def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
     """The plan as plain data."""
     return {
-        "hydrodynamics": plan.hydrodynamics,
+        "hydrodynamics": plan.simulation.kind,
         "end": float(plan.times[-1]),
         "samples": len(plan.times),
         "jeffery_period": plan.period,
         "needs": list(plan.needs),
         "skips": list(plan.skips),
-        "output": str(plan.output),
+        "output": str(target),
         "bytes_on_disk": plan.bytes_on_disk,
     }
 
 
-def explain(loaded: LoadedCase, plan: Plan) -> str:
+def explain(loaded: LoadedCase, plan: Plan, target: Path) -> str:
     """What the scene needs, what it skips, and where the result goes."""
     text = render(
         f"Plan: {loaded.case.title or loaded.case.task}",
@@ -125,7 +126,7 @@ def explain(loaded: LoadedCase, plan: Plan) -> str:
             "Scene": scene(loaded, plan),
             "Needs": [("", f"- {text}") for text in plan.needs],
             "Skips": [("", f"- {text}") for text in plan.skips],
-            "Writes": [(str(plan.output), f"about {size(plan.bytes_on_disk)} of samples")],
+            "Writes": [(str(target), f"about {size(plan.bytes_on_disk)} of samples")],
         },
     )
     return text + "\n"

@@ -13,15 +13,16 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import column_name
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
@@ -29,15 +30,23 @@ from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
 from qbxstokes.runs import handout
+from qbxstokes.runs.block import compute_block, starts_of
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.columns import SUMMARY
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.parallel import on_root
-from qbxstokes.runs.plan import result_path
 from qbxstokes.runs.progress import Progress
-from qbxstokes.runs.scenes import Scene, Scenes
+from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.target import result_path
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.from_case import body_of, pointed, simulation_of
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 Array = NDArray[Any]
 
@@ -58,16 +67,9 @@ class Work:
     complete: bool = False
 
 
-def sweep_command(
-    comm: Any,
-    loaded: LoadedCase,
-    options: argparse.Namespace,
-    petsc: Sequence[str],
-    clock: Clock,
-) -> int:
+def sweep_command(job: Job) -> int:
     """Carry out a case with a section `sweep`; returns the exit status."""
-    from qbxstokes.runs.report import plain
-
+    comm, loaded, options, clock = job.comm, job.loaded, job.options, job.clock
     speak = comm.rank == 0 and not (options.quiet or options.json)
     if options.dry_run or options.explain:
         facts = on_root(comm, lambda: _dry_run(loaded, comm.size))
@@ -80,7 +82,7 @@ def sweep_command(
     from qbxstokes.petsc import session
     from qbxstokes.runs.provenance import start_petsc
 
-    PETSc, record = start_petsc(comm, loaded, petsc, clock)
+    PETSc, record = start_petsc(comm, loaded, job.petsc, clock)
     summary = run_sweep(comm, loaded, options, record, clock)
     if comm.rank == 0:
         summary["wall_times"] = {**clock.parts, "total": clock.total}
@@ -387,15 +389,17 @@ def _models(
     speak: whether to say on standard error how far it is, where it takes more than a moment. A
     body that cannot be formed is noted with the error, which its trajectories then report.
     """
+    from qbxstokes.io.cache import open_cache
     from qbxstokes.petsc import session
-    from qbxstokes.simulation.hydrodynamics import form_hydrodynamics, open_cache
 
     body, representatives = scenes.bodies
-    scene_of = scenes.scene_of_block()
-    needed = sorted({int(body[scene_of[number]]) for number in [*work.blocks, *work.mend]})
+    needed = sorted(
+        {int(body[s]) for number in [*work.blocks, *work.mend] for s in scenes.scenes_of(number)}
+    )
     # Options of the solver want to be seen at work.
     no_cache = no_cache or bool(session.solver_options(session.start()))
-    models = Models(SharedCache(open_cache(scenes.loaded, no_cache).folder), {})
+    named = scenes.loaded.case.hydrodynamics.cache
+    models = Models(SharedCache(open_cache(named, no_cache).folder), {})
     told = time.monotonic()
     while (place := counters.next(handout.MODELS)) < len(needed):
         number = needed[place]
@@ -405,7 +409,10 @@ def _models(
             print(text, file=sys.stderr, flush=True)
         try:
             scene = scenes.scene(representatives[number])
-            form_hydrodynamics(scene.loaded, scene.plan, cache=models.cache)
+            with pointed(scene.loaded):
+                simulation, workshop = scene.plan.simulation, Workshop(cache=models.cache)
+                need = simulation.need(scenes.pushed)
+                simulation.body.hydrodynamics_in(simulation.flow, need, workshop)
         except QbxStokesError as error:
             models.errors[number] = error
     counters.wait()
@@ -478,41 +485,54 @@ def _order(scenes: Scenes, work: Work) -> list[int]:
 
 
 class _Computer:
-    """Computes blocks, keeping the scene and the model at hand from one to the next."""
+    """Computes blocks, keeping the bodies at hand from one to the next."""
 
     def __init__(self, scenes: Scenes, layout: store.Layout, models: Models, poke: Any) -> None:
         self._scenes, self._layout, self._models, self._poke = scenes, layout, models, poke
+        self._workshop = Workshop(cache=models.cache)
         self._body, _ = scenes.bodies
-        self._current: tuple[int, Any, Any] = (-1, None, None)
+        self._bodies: dict[int, Body] = {}
 
     def compute(
         self, number: int, only: list[int] | None
     ) -> tuple[Array, dict[str, Array], dict[str, Any]]:
         """Trajectory numbers, rows of the file, and the journal's entry."""
-        from qbxstokes.runs.block import BlockResult, compute_block, starts_of
-
         scenes, layout = self._scenes, self._layout
-        block = scenes.block(number)
-        index = block.index if only is None else np.array(only, dtype=np.int64)
-        values = scenes.space.values(index)
         sweep = scenes.loaded.case.sweep
         assert sweep is not None
+        pieces = scenes.block(number).pieces
+        simulations: list[Simulation] = []
+        sound: list[Array] = []
+        lost: dict[int, str] = {}
+        times = np.full(layout.samples, np.nan)
+        for scene, members in pieces:
+            chosen = members if only is None else members[np.isin(members, only)]
+            if not len(chosen):
+                continue
+            try:
+                simulations.append(self._simulation(scene, chosen))
+                sound.append(chosen)
+                times = scenes.scene(scene).plan.times
+            except QbxStokesError as error:
+                lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
+        index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
         n = len(index)
-        try:
-            scene, model, provider = self._ready(block.scene)
-        except QbxStokesError as error:
-            reason = " ".join(str(error).split())
-            nothing = np.full((n, layout.samples), np.nan)
-            result = BlockResult({}, {}, nothing[0], dict.fromkeys(range(n), reason))
-        else:
-            starts = starts_of(scene, values, n)
-            result = compute_block(
-                scene, model, provider, starts, layout.fields, sweep.discard, self._poke
-            )
+        result = compute_block(
+            simulations,
+            times,
+            layout.fields,
+            sweep.discard,
+            self._workshop,
+            scenes.pushed,
+            self._poke,
+        )
+        well = n - len(lost)
+        result.failed |= {well + i: reason for i, reason in enumerate(lost.values())}
         table = np.zeros(n, dtype=layout.dtype)
         for name in layout.dtype.names or ():
             if layout.dtype[name].kind == "f":
-                table[name] = result.summary.get(name, np.nan)
+                table[name] = np.nan
+                table[name][:well] = result.summary.get(name, np.nan)
         for name, column in coordinates_of(scenes, index).items():
             table[name] = column
         table["status"] = store.DONE
@@ -522,27 +542,30 @@ class _Computer:
         rows = {"table": table}
         for name in layout.fields:
             shape = (n, layout.samples, *MOTION_FIELDS[name].shape)
-            rows[name] = result.quantities.get(name, np.full(shape, np.nan))
+            rows[name] = np.full(shape, np.nan)
+            rows[name][:well] = result.quantities[name]
         if layout.fields and layout.times is None:
             rows["time"] = np.tile(result.times, (n, 1))
+        if lost:  # in the order of the block, in which its rows are checked
+            asked = np.concatenate([members for _, members in pieces])
+            order = [int(np.flatnonzero(index == i)[0]) for i in asked[np.isin(asked, index)]]
+            rows = {name: values[order] for name, values in rows.items()}
         entry = {
             "failed": {int(index[i]): reason for i, reason in result.failed.items()},
             "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
         }
-        return index, rows, entry
+        return index[order] if lost else index, rows, entry
 
-    def _ready(self, number: int) -> tuple[Scene, Any, Any]:
-        """The scene with its body model and its provider of free motion."""
-        from qbxstokes.simulation.hydrodynamics import form_hydrodynamics
-
-        error = self._models.errors.get(int(self._body[number]))
-        if error is not None:
-            raise error
+    def _simulation(self, number: int, index: Array) -> Simulation:
+        """Some trajectories of a scene as the lanes of a simulation."""
+        body = int(self._body[number])
+        if body in self._models.errors:
+            raise self._models.errors[body]
         scene = self._scenes.scene(number)
-        if self._current[0] != number:
-            formed = form_hydrodynamics(scene.loaded, scene.plan, cache=self._models.cache)
-            self._current = (number, formed.model, formed.provider)
-        return scene, *self._current[1:]
+        if body not in self._bodies:
+            self._bodies[body] = body_of(scene.loaded)
+        starts = starts_of(scene.loaded, self._scenes.space.values(index), len(index))
+        return simulation_of(scene.loaded, self._bodies[body], starts)
 
 
 def _finish(

@@ -8,16 +8,16 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import TABLE_TASKS
 
 
-def plan_of(loaded: LoadedCase, overwrite: bool = False) -> Any:
+def plan_of(loaded: LoadedCase) -> Any:
     """The plan of the case's task; raises CaseError for what the schema alone cannot see."""
     if loaded.case.task == "field":
         from qbxstokes.runs.field import plan_field
 
-        return plan_field(loaded, overwrite)
+        return plan_field(loaded)
     if loaded.case.task in TABLE_TASKS:
         from qbxstokes.app.tabulate import plan_tables
 
-        return plan_tables(loaded, overwrite)
+        return plan_tables(loaded, True)
     from qbxstokes.runs.plan import make_plan
 
-    return make_plan(loaded, overwrite)
+    return make_plan(loaded)

@@ -1,10 +1,13 @@
-"""From the section `hydrodynamics` to the body model and the provider of free motion."""
+"""From a body and a flow to the body model and the provider of free motion."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import (
     AccurateBody,
@@ -14,12 +17,12 @@ from qbxstokes.bie.accuracy import (
     resolving_nodes,
 )
 from qbxstokes.bie.functional import BodyModel
+from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.hydrodynamics import GRADED_KEYS, Hydrodynamics
-from qbxstokes.case.load import LoadedCase
-from qbxstokes.errors import CaseError, FlowError
+from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.io.cache import Cache, default_folder
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -27,13 +30,70 @@ from qbxstokes.qbx.operator import (
     independent_rows,
     layer_rows,
 )
-from qbxstokes.runs.plan import Plan
+
+Array = NDArray[np.float64]
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
 _TIGHTEST_SOLVE = 1e-14
 # Share of the tolerance that the grid of a flow that is not polynomial may take.
 _FLOW_SHARE = 0.1
+
+
+class Store(Protocol):
+    """Where arrays are kept between runs: `io.cache.Cache`, or nothing at all."""
+
+    @property
+    def found(self) -> int:
+        """How often something was found so far."""
+
+    @property
+    def problems(self) -> list[str]:
+        """What was found and could not be used."""
+
+    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """What was stored under the key, if anything was."""
+
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep arrays under a key."""
+
+
+class Nowhere:
+    """A store that keeps nothing."""
+
+    found = 0
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+
+    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """Nothing."""
+        return None
+
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Nothing is kept."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Who forms the rows of the operators (several ranks perhaps), and where results are kept."""
+
+    form_rows: RowFormer = layer_rows
+    cache: Store = field(default_factory=Nowhere)
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a scene asks of the hydrodynamics.
+
+    kind: "table", "grid" or "every_step". completion: of the resistance problem, None where it is
+    left out. position (3,), quaternion (4,): where the flow has to be resolved first.
+    """
+
+    kind: str
+    completion: Completion | None
+    position: Array
+    quaternion: Array
 
 
 @dataclass
@@ -57,103 +117,91 @@ class Hydrodynamic:
         }
 
 
-def form_hydrodynamics(
-    loaded: LoadedCase,
-    plan: Plan,
-    form_rows: RowFormer = layer_rows,
-    cache: Cache | None = None,
-) -> Hydrodynamic:
-    """Form operators, solve the adjoint problems, and choose what a time step evaluates.
+def form_body(
+    spheroid: Spheroid,
+    section: Hydrodynamics,
+    degree: int,
+    completion: Completion | None,
+    strict: bool,
+    workshop: Workshop,
+) -> tuple[AccurateBody, list[Any]]:
+    """The body model and its functional, from the cache if it has them, and the solvers used.
 
-    form_rows: what forms rows, several ranks perhaps. cache: where results are kept, if anywhere.
+    degree: of the flow, 1 to 3 (3 for flows that are not polynomial). strict: raise
+    ConvergenceError where rounding forbids the tolerance.
     """
-    return _Former(loaded, plan, form_rows, cache or Cache(None)).form()
-
-
-def open_cache(loaded: LoadedCase, off: bool = False) -> Cache:
-    """The cache of a run: folder of the case, of QBXSTOKES_CACHE, or of the user, in this order."""
-    named = loaded.case.hydrodynamics.cache
-    return Cache(None if off else Path(named).expanduser() if named else default_folder())
-
-
-class _Former:
-    """The steps of `form_hydrodynamics`, which share the case and what has been formed so far."""
-
-    def __init__(self, loaded: LoadedCase, plan: Plan, form_rows: RowFormer, cache: Cache) -> None:
-        self._loaded, self._plan, self._cache = loaded, plan, cache
-        self._form_rows = form_rows
-        self._section = loaded.case.hydrodynamics
-        self._flow = loaded.flow
-        self._spheroid = Spheroid(loaded.case.body.aspect_ratio)
-        self._residual = solver_tolerance(self._section)
-        self._solvers: list[Any] = []
-
-    def form(self) -> Hydrodynamic:
-        found = self._cache.found
-        body = self._body()
-        facts = {
-            "scheme": self._section.scheme,
-            "completion": self._plan.completion,
-            "gmres_tolerance": self._residual,
-            "cache": "found" if self._cache.found > found else "formed",
-            "n_phi": body.functional.grid.n_phi,
-            **vars(body.scheme),
-        }
-        if body.model.error_parts is not None:
-            facts["error_parts"] = asdict(body.model.error_parts)
-        provider: Any = self._flow.polynomial
-        if self._plan.hydrodynamics == "every_step":
-            provider = self._solve_motion(body, facts)
-        elif self._plan.hydrodynamics == "grid":
-            provider = self._grid_motion(body, facts)
-        return Hydrodynamic(body.model, provider, facts, self._solvers, self._cache.problems)
-
-    def _body(self) -> AccurateBody:
-        """The body model and its functional, from the cache if it has them."""
-        section = self._section
-        scheme = explicit_scheme(section)
-        degree = 3 if self._flow.degree is None else min(3, max(1, self._flow.degree))
-        key = {
-            "aspect_ratio": self._spheroid.aspect_ratio,
-            "degree": degree,
-            "tolerance": section.tolerance,
-            "side": side_of(section),
-            "scheme": None if scheme is None else [section.scheme, asdict(scheme)],
-            "completion": self._plan.completion,
-            "residual": self._residual,
-            "preconditioner": section.preconditioner,
-        }
-        arrays = self._cache.load("body", key)
-        if arrays is None and self._plan.completion is None:
-            # A body with its resistance serves as well: whether there is one changes no output.
-            arrays = self._cache.load("body", {**key, "completion": "surface"})
-            if arrays is not None:
-                del arrays["model_resistance"]
+    cache, scheme, solvers = workshop.cache, explicit_scheme(section), []
+    residual = solver_tolerance(section)
+    key = {
+        "aspect_ratio": spheroid.aspect_ratio,
+        "degree": degree,
+        "tolerance": section.tolerance,
+        "side": side_of(section),
+        "scheme": None if scheme is None else [section.scheme, asdict(scheme)],
+        "completion": completion,
+        "residual": residual,
+        "preconditioner": section.preconditioner,
+    }
+    arrays = cache.load("body", key)
+    if arrays is None and completion is None:
+        # A body with its resistance serves as well: whether there is one changes no output.
+        arrays = cache.load("body", {**key, "completion": "surface"})
         if arrays is not None:
-            return AccurateBody.from_arrays(arrays)
-        try:
-            body = accurate_body(
-                self._spheroid,
-                section.tolerance,
-                scheme,
-                side=side_of(section),
-                degree=degree,
-                strict="tolerance" in section.model_fields_set,
-                completion=self._plan.completion,
-                solver=self._solver,
-                form_rows=self._form_rows,
-            )
-        except CaseError as error:
-            raise self._loaded.error("hydrodynamics", str(error)) from None
-        self._cache.store("body", key, body.to_arrays())
-        return body
+            del arrays["model_resistance"]
+    if arrays is not None:
+        return AccurateBody.from_arrays(arrays), []
+    body = accurate_body(
+        spheroid,
+        section.tolerance,
+        scheme,
+        side=side_of(section),
+        degree=degree,
+        strict=strict,
+        completion=completion,
+        solver=solver_factory(section, solvers),
+        form_rows=workshop.form_rows,
+    )
+    cache.store("body", key, body.to_arrays())
+    return body, solvers
 
-    def _solver(self, operator: Any, grid: Any) -> Any:
+
+def solver_factory(section: Hydrodynamics, solvers: list[Any]) -> Callable[[Any, Any], Any]:
+    """What makes a GMRES solver of an operator on a grid; each is added to `solvers`."""
+
+    def factory(operator: Any, grid: Any) -> Any:
+        from qbxstokes.petsc import session
+
+        session.start()
         from qbxstokes.petsc.gmres import GmresSolver
 
-        solver = GmresSolver(operator, grid, self._residual, self._section.preconditioner)
-        self._solvers.append(solver)
+        solver = GmresSolver(operator, grid, solver_tolerance(section), section.preconditioner)
+        solvers.append(solver)
         return solver
+
+    return factory
+
+
+class Former:
+    """From an accurate body to the provider that a scene needs in its flow."""
+
+    def __init__(
+        self,
+        spheroid: Spheroid,
+        section: Hydrodynamics,
+        flow: Flow,
+        need: Need,
+        workshop: Workshop,
+    ) -> None:
+        self._spheroid, self._section, self._flow = spheroid, section, flow
+        self._need, self._workshop = need, workshop
+
+    def provider(self, body: AccurateBody, facts: dict[str, Any], solvers: list[Any]) -> Any:
+        """A polynomial flow, or what knows the free motion in the flow; notes what it did."""
+        if self._need.kind == "every_step":
+            return self._solve_motion(body, facts, solvers)
+        if self._need.kind == "grid":
+            return self._grid_motion(body, facts)
+        return self._flow.polynomial
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
         from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion
@@ -167,22 +215,22 @@ class _Former:
         if not len(self._flow.singular_points):
             return MonitoredGridMotion(body.functional, self._flow, share, (n_theta, n_phi))
         motion = AdaptiveGridMotion(body.functional, self._flow, share)
-        motion.calibrate(self._plan.position, self._plan.quaternion, n_theta)
+        motion.calibrate(self._need.position, self._need.quaternion, n_theta)
         return motion
 
     def _nodes(self, body: AccurateBody) -> tuple[int, int, float]:
         """Nodes that resolve the flow on the surface at the start, and the error they leave."""
-        turn = rotation.matrix(self._plan.quaternion)
+        turn = rotation.matrix(self._need.quaternion)
 
         def velocity(points: Any) -> Any:
-            return self._flow.velocity(self._plan.position + points @ turn.T, 0.0) @ turn
+            return self._flow.velocity(self._need.position + points @ turn.T, 0.0) @ turn
 
         try:
             return resolving_nodes(body.functional, velocity, _FLOW_SHARE * self._section.tolerance)
         except FlowError as error:
-            raise self._loaded.error("flow", str(error), "move the body away") from None
+            raise SceneError("flow", str(error), "move the body away") from None
 
-    def _solve_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
+    def _solve_motion(self, body: AccurateBody, facts: dict[str, Any], solvers: list[Any]) -> Any:
         from qbxstokes.bie.operators import surface_operators
         from qbxstokes.bie.providers import SolveMotion
 
@@ -198,7 +246,7 @@ class _Former:
         # odd number has no mode of half its own, which the preconditioner cannot invert.
         n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
         facts |= {**vars(scheme), "n_phi": n_phi}
-        completion = self._plan.completion
+        completion = self._need.completion
         spread = completion == "surface"
         n_modes = n_phi // 2 + 1
         key = {
@@ -207,15 +255,16 @@ class _Former:
             "n_modes": n_modes,
             "single": spread,
         }
-        arrays = self._cache.load("operator", key)
+        cache = self._workshop.cache
+        arrays = cache.load("operator", key)
         if arrays is None:
             wanted = independent_rows(scheme.n_theta)
-            rows = self._form_rows(self._spheroid, scheme, n_modes, wanted, spread)
-            self._cache.store("operator", key, {"double": rows[0], "single": rows[1]})
+            rows = self._workshop.form_rows(self._spheroid, scheme, n_modes, wanted, spread)
+            cache.store("operator", key, {"double": rows[0], "single": rows[1]})
         else:
             rows = arrays["double"], arrays["single"]
         operators = surface_operators(self._spheroid, scheme, n_phi, completion, rows)
-        return SolveMotion(operators, self._flow, self._solver)
+        return SolveMotion(operators, self._flow, solver_factory(self._section, solvers))
 
 
 def side_of(section: Hydrodynamics) -> Any:
@@ -247,5 +296,5 @@ def explicit_scheme(section: Hydrodynamics) -> Scheme | None:
 def solver_tolerance(section: Hydrodynamics) -> float:
     """Relative residual that GMRES has to reach."""
     if section.gmres_tolerance is not None:
-        return section.gmres_tolerance
+        return float(section.gmres_tolerance)
     return max(_SOLVE_MARGIN * section.tolerance, _TIGHTEST_SOLVE)

@@ -1,14 +1,14 @@
-"""From the section `events` to what watches the steps, and what it saw."""
+"""From the events that are asked for to what watches the steps, and what it saw."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import SceneError
 from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import Field
@@ -22,7 +22,9 @@ from qbxstokes.motion.events import (
     steady,
     turning_point,
 )
-from qbxstokes.runs.plan import Plan
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
 
@@ -44,17 +46,14 @@ HALF_TURN_COLUMNS: dict[str, Field] = {
 }
 
 
-def build_events(
-    loaded: LoadedCase, plan: Plan, equations: RigidBodyEquations, initial: Array
-) -> Events:
-    """The watch over a motion; raises CaseError where it would end before it starts."""
-    section, flow = loaded.case.events, loaded.flow
-    k = loaded.case.body.aspect_ratio
-    gradient = flow.gradient(plan.position)
+def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Array) -> Events:
+    """The watch over a motion of one lane; raises SceneError where it would end as it starts."""
+    section, flow, k = scene.events, scene.flow, scene.body.aspect_ratio
+    position, axis = scene.position[0], rotation.axis(scene.quaternion[0])
     passage = None
-    if section.half_turns and (plan.period is not None or section.plane is not None):
+    if section.half_turns and (scene.period is not None or section.plane is not None):
         plane = None if section.plane is None else np.array(section.plane)
-        passage = Passage.of(gradient, k, plane)
+        passage = Passage.of(scene.gradient, k, plane)
     scale = float(np.max(equations.time_rate(0.0, initial)))
     events: list[Event] = [
         turning_point(equations, name, scale) for name in dict.fromkeys(section.turning_points)
@@ -65,23 +64,16 @@ def build_events(
     if section.region is not None:
         event = leaving(section.region.lower, section.region.upper)
         if event.function(0.0, row) >= 0.0:
-            raise loaded.error("events.region", "does not hold start.position", "a larger region")
+            raise SceneError("events.region", "does not hold start.position", "a larger region")
         events.append(event)
     if len(flow.singular_points):
-        there = float(
-            np.min(clearance(flow.singular_points, plan.position, _axis(plan.quaternion), k))
-        )
+        there = float(np.min(clearance(flow.singular_points, position, axis, k)))
         least = min(_CLEARANCE, 0.5 * there) if section.clearance is None else section.clearance
         if there <= least:
-            raise loaded.error(
-                "events.clearance", f"is {least:g}, more than the {there:.3g} at the start"
-            )
+            wrong = f"is {least:g}, more than the {there:.3g} at the start"
+            raise SceneError("events.clearance", wrong)
         events.append(meeting(flow.singular_points, k, least))
-    return Events(equations, passage, events, plan.frame if plan.frame.simple else None)
-
-
-def _axis(quaternion: Array) -> Array:
-    return rotation.axis(quaternion)
+    return Events(equations, passage, events, scene.frame if scene.frame.simple else None)
 
 
 def columns_of(name: str) -> dict[str, Field]:

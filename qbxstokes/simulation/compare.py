@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import BodyModel
-from qbxstokes.case.schema import Case
 from qbxstokes.flows import Flow, PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.reference import faxen, jeffery
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
+    from qbxstokes.simulation.simulation import Assembled
 
 Array = NDArray[np.float64]
 
@@ -56,8 +59,38 @@ def shear_rate(flow: Flow) -> float | None:
     return rate if rate and not np.any(gradient) else None
 
 
+def compare_samples(assembled: Assembled, times: Array, samples: Mapping[str, Array]) -> Comparison:
+    """Errors of a motion of one lane from its samples (T, ...) at times (T,).
+
+    samples may hold largest_orbit_drift, that of more samples than these.
+    """
+    scene = assembled.parts[0]
+    v0, w0 = assembled.equations.velocities(0.0, assembled.initial)
+    known = {
+        "start_position": scene.position[0],
+        "start_quaternion": scene.quaternion[0],
+        "start_axis": rotation.axis(scene.quaternion[0]),
+        "start_velocity": v0[0],
+        "start_angular_velocity": w0[0],
+    }
+    if "largest_orbit_drift" not in samples:
+        known["largest_orbit_drift"] = orbit_drift(samples["orbit_constant"])
+    model = assembled.hydrodynamics[0].model
+    loads, constraints = scene.loads, scene.constraints
+    body = scene.body.with_inertia(scene.stokes_number[0], scene.body.inertia)
+    return compare(body, scene.flow, model, times, {**samples, **known}, loads, constraints)
+
+
+def orbit_drift(constants: Array, first: float | None = None) -> Array:
+    """Largest |C/C0 - 1| of orbit constants (T,) from the first of them, or a given C0."""
+    start = constants[0] if first is None else first
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.abs(constants / start - 1.0)
+    return np.asarray(np.max(change, initial=0.0, where=np.isfinite(change)))
+
+
 def compare(
-    case: Case,
+    body: Body,
     flow: Flow,
     model: BodyModel,
     times: Array,
@@ -73,27 +106,27 @@ def compare(
     if polynomial is None:
         found.note = "no closed form for the motion in this flow"
     elif loads is not None or constraints is not None:
-        _driven(found, case, polynomial, times, samples, loads, constraints)
-    elif case.body.stokes_number == 0:
-        _free_motion(found, case, polynomial, samples)
+        _driven(found, body, polynomial, times, samples, loads, constraints)
+    elif not np.any(body.stokes_number):
+        _free_motion(found, body, polynomial, samples)
         if polynomial.degree <= 1:
-            _jeffery_orbit(found, case, flow, times, samples)
-        elif not _chwang_plane(found, case, flow, times, samples):
+            _jeffery_orbit(found, body, flow, times, samples)
+        elif not _chwang_plane(found, body, flow, times, samples):
             found.note = "no closed form for the path in this flow; its velocities are compared"
-    elif case.body.inertia != "both":
-        found.note = f"no reference for inertia of {case.body.inertia} alone"
-    elif stiffness(case, times) > _STIFFEST:
+    elif body.inertia != "both":
+        found.note = f"no reference for inertia of {body.inertia} alone"
+    elif stiffness(body, times) > _STIFFEST:
         found.note = "reference left out: too stiff for its explicit integration"
     elif polynomial.degree <= 1:
-        _inertial_rotation(found, case, polynomial, times, samples)
-    elif not _chwang_plane(found, case, flow, times, samples):
+        _inertial_rotation(found, body, polynomial, times, samples)
+    elif not _chwang_plane(found, body, flow, times, samples):
         found.note = "no closed form for an inertial body in this flow and orientation"
     return found
 
 
 def _driven(
     found: Comparison,
-    case: Case,
+    body: Body,
     flow: PolynomialFlow,
     times: Array,
     samples: Mapping[str, Array],
@@ -105,7 +138,7 @@ def _driven(
     F = R_t (U - V), M = R_r (Omega - W) with U, Omega from Faxen's laws at the computed place;
     for St = 0 the free parts of the motion are V = U + R_t^-1 F_ext, W = Omega + R_r^-1 M_ext.
     """
-    k, axis = case.body.aspect_ratio, samples["axis"]
+    k, axis = body.aspect_ratio, samples["axis"]
     u, omega = faxen.free_motion_polynomial(k, axis, *flow.derivatives(samples["position"]))
     v, w = samples["velocity"], samples["angular_velocity"]
     across, along, turning, spinning = faxen.resistance(k)
@@ -122,7 +155,7 @@ def _driven(
             found.add(label, name, error)
     f, m = external(times, samples["orientation"], loads)
     free = constraints or Constraints()
-    if case.body.stokes_number == 0:
+    if not np.any(body.stokes_number):
         if free.velocity is None:
             exact = u + axial(axis, f, 1.0 / across, 1.0 / along)
             found.add("velocity", name, _relative(v, exact))
@@ -132,12 +165,12 @@ def _driven(
                 found.add("angular_velocity", name, _relative(w, exact))
     still = not np.any(m) and np.abs(w).max() <= 1e-14 and flow.degree == 0
     if still and free.velocity is None and np.all(f == f[0]):
-        _settling(found, case, times, samples, u, f)
+        _settling(found, body, times, samples, u, f)
 
 
 def _settling(
     found: Comparison,
-    case: Case,
+    body: Body,
     times: Array,
     samples: Mapping[str, Array],
     u: Array,
@@ -149,7 +182,7 @@ def _settling(
     """
     from qbxstokes.reference import inertial
 
-    k, stokes, axis = case.body.aspect_ratio, case.body.stokes_number, samples["start_axis"]
+    k, stokes, axis = body.aspect_ratio, float(body.stokes_number), samples["start_axis"]
     across, along, _, _ = faxen.resistance(k)
     end = u[0] + axial(axis, force[0], 1.0 / across, 1.0 / along)
     path = samples["start_position"] + times[:, None] * end
@@ -188,14 +221,14 @@ def external(times: Array, orientation: Array, loads: Loads | None) -> tuple[Arr
     )
 
 
-def stiffness(case: Case, times: Array) -> float:
+def stiffness(body: Body, times: Array) -> float:
     """Duration over the shortest relaxation time of an inertial body."""
     from qbxstokes.reference import inertial
 
-    k = case.body.aspect_ratio
+    k = body.aspect_ratio
     moments = inertial.inertia(k)
     masses = np.array([inertial.volume(k), inertial.volume(k), moments[0], moments[2]])
-    rates = np.array(faxen.resistance(k)) / (case.body.stokes_number * masses)
+    rates = np.array(faxen.resistance(k)) / (float(body.stokes_number) * masses)
     return float(rates.max() * times[-1])
 
 
@@ -213,10 +246,10 @@ def _relative(values: Array, exact: Array) -> float:
 
 
 def _free_motion(
-    found: Comparison, case: Case, flow: PolynomialFlow, samples: Mapping[str, Array]
+    found: Comparison, body: Body, flow: PolynomialFlow, samples: Mapping[str, Array]
 ) -> None:
     """Velocities at the computed positions and orientations, against the Faxen laws."""
-    k, axis = case.body.aspect_ratio, samples["axis"]
+    k, axis = body.aspect_ratio, samples["axis"]
     velocity, spin = faxen.free_motion_polynomial(k, axis, *flow.derivatives(samples["position"]))
     name = "Chwang's and Faxen's laws" if flow.degree > 1 else "Jeffery's formula"
     if np.any(velocity) or np.any(samples["velocity"]):
@@ -225,10 +258,10 @@ def _free_motion(
 
 
 def _jeffery_orbit(
-    found: Comparison, case: Case, flow: Flow, times: Array, samples: Mapping[str, Array]
+    found: Comparison, body: Body, flow: Flow, times: Array, samples: Mapping[str, Array]
 ) -> None:
     """Axis, orbit constant and period of a massless body in a linear flow."""
-    k, axis = case.body.aspect_ratio, samples["axis"]
+    k, axis = body.aspect_ratio, samples["axis"]
     start = samples["start_axis"]
     rate = shear_rate(flow)
     if rate is None:
@@ -269,7 +302,7 @@ def measured_period(times: Array, axis: Array, k: float) -> float | None:
 
 def _inertial_rotation(
     found: Comparison,
-    case: Case,
+    body: Body,
     flow: PolynomialFlow,
     times: Array,
     samples: Mapping[str, Array],
@@ -281,7 +314,7 @@ def _inertial_rotation(
     spin = rotation.to_body(q0, samples["start_angular_velocity"])
     grid, last = _with_start(times)
     solution = inertial.linear_flow(
-        case.body.aspect_ratio, case.body.stokes_number, flow.gradient_tensor, q0, grid, spin
+        body.aspect_ratio, float(body.stokes_number), flow.gradient_tensor, q0, grid, spin
     )
     exact = rotation.axis(solution.orientation)
     name = "semi-analytic equations"
@@ -296,7 +329,7 @@ def _with_start(times: Array) -> tuple[Array, int]:
 
 
 def _chwang_plane(
-    found: Comparison, case: Case, flow: Flow, times: Array, samples: Mapping[str, Array]
+    found: Comparison, body: Body, flow: Flow, times: Array, samples: Mapping[str, Array]
 ) -> bool:
     """Chwang's special orientation in u = K (x2^2 + x3^2) e1; False where it does not apply."""
     from qbxstokes.reference import inertial
@@ -325,7 +358,7 @@ def _chwang_plane(
         return False
     phi = float(np.arctan2(turn[1, 0], turn[0, 0]))
     grid, last = _with_start(times)
-    k, stokes = case.body.aspect_ratio, case.body.stokes_number
+    k, stokes = body.aspect_ratio, float(body.stokes_number)
     solution = inertial.paraboloid(k, stokes, curvature, x0[:2], phi, grid, v0[:2], float(w0[2]))
     name = "Chwang's semi-analytic equations"
     exact = np.stack([np.sin(solution.phi), -np.cos(solution.phi), 0.0 * solution.phi], -1)[last:]

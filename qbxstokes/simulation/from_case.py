@@ -1,0 +1,235 @@
+"""A case is one way to write down a simulation: from its sections to the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.case.constraints import FREE, LOCKED
+from qbxstokes.case.load import LoadedCase, case_of, load_case
+from qbxstokes.case.start import Start
+from qbxstokes.case.time import Time
+from qbxstokes.case.timed import timed
+from qbxstokes.errors import CaseError, FlowError, SceneError
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion.diagnostics import orbit_axis, rotation_period
+from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+_LOADS = ("force", "torque", "body_force", "body_torque")
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Starts (n, ...) of the lanes that share a case; velocities None: with the flow."""
+
+    stokes_number: Array
+    position: Array
+    quaternion: Array
+    velocity: Array | None
+    angular_velocity: Array | None
+
+
+@contextmanager
+def pointed(loaded: LoadedCase) -> Iterator[None]:
+    """Within it what is wrong in a scene is told with the case's file and line."""
+    try:
+        yield
+    except SceneError as error:
+        raise loaded.error(error.key, error.wrong, error.right) from None
+
+
+def body_of(loaded: LoadedCase, stokes_number: ArrayLike | None = None) -> Body:
+    """The body of a case; stokes_number: of several lanes in the place of the case's."""
+    section = loaded.case.body
+    return Body(
+        section.aspect_ratio,
+        stokes_number=section.stokes_number if stokes_number is None else stokes_number,
+        inertia=section.inertia,
+        hydrodynamics=loaded.case.hydrodynamics,
+    )
+
+
+def simulation_of(
+    loaded: LoadedCase, body: Body | None = None, starts: Starts | None = None
+) -> Simulation:
+    """The simulation that a case of `task: motion` writes down.
+
+    body: formed before, for another case with the same shape. starts: of several lanes, in the
+    place of the case's own. Raises CaseError for tables and functions that cannot be used.
+    """
+    case = loaded.case
+    assert case.time is not None
+    own = starts_of(case.start, case.body.aspect_ratio) if starts is None else None
+    stokes = case.body.stokes_number if starts is None else starts.stokes_number
+    given = own or starts
+    assert given is not None
+    body = body_of(loaded) if body is None else body
+    loads, constraints = loads_and_constraints(loaded, end_of(loaded))
+    return Simulation(
+        body.with_inertia(stokes, case.body.inertia),
+        loaded.flow,
+        position=given.position,
+        orientation=given.quaternion,
+        velocity=given.velocity,
+        angular_velocity=given.angular_velocity,
+        loads=loads,
+        constraints=constraints,
+        events=case.events,
+        tolerance=case.time.tolerance,
+    )
+
+
+def starts_of(start: Start, aspect_ratio: float) -> Starts:
+    """The start of a case as arrays without lanes."""
+
+    def moving(value: Any) -> Array | None:
+        return None if value == "with_flow" else np.array(value)
+
+    return Starts(
+        np.zeros(()),
+        np.array(start.position),
+        start_quaternion(start, aspect_ratio),
+        moving(start.velocity),
+        moving(start.angular_velocity),
+    )
+
+
+def start_quaternion(start: Start, aspect_ratio: float) -> Array:
+    """Unit quaternion (4,) of the start, from whichever form the case gives."""
+    form = start.orientation
+    if form.quaternion is not None:
+        return rotation.normalize(np.array(form.quaternion))
+    if form.axis is not None:
+        return rotation.from_axis(np.array(form.axis))
+    if form.orbit is not None:
+        return rotation.from_axis(orbit_axis(aspect_ratio, form.orbit.constant, form.orbit.phase))
+    assert form.euler is not None  # the schema lets exactly one form through
+    return rotation.from_euler(form.euler.phi, form.euler.theta, form.euler.psi)
+
+
+# -- time -----------------------------------------------------------------------------------------
+
+
+def period_of(loaded: LoadedCase) -> float | None:
+    """Jeffery's period in the gradient at the start, None where the axis comes to rest."""
+    gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
+    return rotation_period(gradient, loaded.case.body.aspect_ratio)
+
+
+def times_of(loaded: LoadedCase) -> Array:
+    """The instants to store; the integration starts at 0 whether or not 0 is one of them.
+
+    Raises CaseError for periods of a flow that turns no axis.
+    """
+    time = loaded.case.time
+    assert time is not None
+    if time.at is not None:
+        return np.array(time.at)
+    return np.linspace(0.0, end_of(loaded), time.samples)
+
+
+def end_of(loaded: LoadedCase) -> float:
+    """End of the motion."""
+    time: Time | None = loaded.case.time
+    assert time is not None
+    if time.at is not None:
+        return float(time.at[-1])
+    if time.end is not None:
+        return float(time.end)
+    period = period_of(loaded)
+    if period is None:
+        raise loaded.error(
+            "time.periods",
+            "the flow's gradient at the start turns no axis around, so there is no period",
+            "give time.end instead",
+        )
+    assert time.periods is not None
+    return float(time.periods * period)
+
+
+# -- loads and constraints ------------------------------------------------------------------------
+
+
+def loads_and_constraints(
+    loaded: LoadedCase, end: float
+) -> tuple[Loads | None, Constraints | None]:
+    """Loads and constraints of the case, None where there are none; `end` of the motion.
+
+    Raises CaseError for a table or function that cannot be used.
+    """
+    forces, held = loaded.case.forces, loaded.case.constraints
+    loads = None
+    if forces.given:
+        parts: dict[str, Any] = {
+            name: _vector(loaded, ("forces", name), getattr(forces, name), end)
+            for name in _LOADS
+            if getattr(forces, name) is not None
+        }
+        if forces.gravity is not None:
+            parts["force"] = _sum(parts.get("force"), weight(loaded))
+        loads = Loads(**parts)
+    constraints = None
+    if held.given:
+        constraints = Constraints(
+            *(
+                _bound(loaded, name, getattr(held, name), end)
+                for name in ("translation", "rotation")
+            )
+        )
+    return loads, constraints
+
+
+def weight(loaded: LoadedCase) -> Array:
+    """Weight less buoyancy, (3,): Theta G e (see `case.forces.Gravity`)."""
+    case = loaded.case
+    gravity = case.forces.gravity
+    assert gravity is not None
+    direction = np.array(gravity.direction)
+    volume = Spheroid(case.body.aspect_ratio).volume
+    net = gravity.net(case.body.stokes_number)
+    return np.asarray(volume * net * direction / np.linalg.norm(direction))
+
+
+def _sum(first: Any, constant: Array) -> Any:
+    if first is None:
+        return constant
+    if callable(first):
+        return lambda t: np.asarray(first(t)) + constant
+    return first + constant
+
+
+def _bound(loaded: LoadedCase, name: str, value: Any, end: float) -> Any:
+    if value == FREE:
+        return None
+    if value == LOCKED:
+        return np.zeros(3)
+    return _vector(loaded, ("constraints", name), value, end)
+
+
+def _vector(loaded: LoadedCase, key: tuple[str, str], value: Any, end: float) -> Any:
+    try:
+        return timed(value, loaded.path.parent, end)
+    except (CaseError, FlowError) as error:
+        raise loaded.error(key, str(error)) from None
+
+
+def from_case(case: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> Simulation:
+    """The simulation of a case file, or of its keys as a dictionary.
+
+    overrides: "section.key=value" as after --set. Raises CaseError for a case that is wrong.
+    """
+    loaded = case_of(case) if isinstance(case, Mapping) else load_case(case, overrides)
+    if loaded.case.task != "motion" or loaded.space is not None:
+        raise loaded.error("task", "is no single motion", "a case of task: motion without a sweep")
+    return simulation_of(loaded)

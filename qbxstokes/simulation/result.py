@@ -1,0 +1,124 @@
+"""What an integration gives: a motion sampled at instants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.io.results import MOTION_FIELDS as MOTION
+from qbxstokes.simulation.watch import columns_of, events_summary, split_columns
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.simulation import Assembled
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion sampled at times (T,): arrays (lanes, T, ...) named as in result files.
+
+    orientation: quaternions (..., 4); position, axis, velocity, angular_velocity, force, torque
+    (..., 3), in the space frame; euler_angles (..., 3); orbit_constant (...), NaN where the flow is
+    no simple shear. summary: what the integration did. events: by name, arrays by column (of a
+    single lane). The axis of lanes is there only where the simulation has one.
+    """
+
+    time: Array
+    position: Array
+    orientation: Array
+    axis: Array
+    velocity: Array
+    angular_velocity: Array
+    force: Array
+    torque: Array
+    euler_angles: Array
+    orbit_constant: Array
+    summary: dict[str, Any] = field(repr=False)
+    events: dict[str, dict[str, Array]] = field(repr=False)
+    _assembled: Assembled = field(repr=False)
+    _states: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, assembled: Assembled, trajectory: Any, watch: Any) -> Motion:
+        """From the states of an integration."""
+        times, states = trajectory.times, trajectory.states
+        found = assembled.observe(times, states, tuple(MOTION))
+        lanes = assembled.parts[0].lanes if len(assembled.parts) == 1 else (states.shape[1],)
+
+        def arranged(values: Array) -> Array:
+            turned = np.moveaxis(values, 0, 1)
+            return np.ascontiguousarray(turned).reshape(*lanes, *turned.shape[1:])
+
+        events: dict[str, dict[str, Array]] = {}
+        if watch is not None:
+            for name, rows in watch.take().items():
+                events[name] = split_columns(rows, columns_of(name))
+        summary = {
+            **integration_facts(trajectory),
+            "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),
+            **({} if watch is None else {"events": events_summary(watch)}),
+        }
+        values = {name: arranged(found[name]) for name in MOTION}
+        return cls(
+            times, **values, summary=summary, events=events, _assembled=assembled, _states=states
+        )
+
+    @property
+    def steps(self) -> int:
+        """Steps that the integrator took."""
+        return int(self.summary["steps"])
+
+    def averages(self, discard: float = 0.0) -> dict[str, Array]:
+        """Averages over the whole half-turns after the first part `discard` of the time.
+
+        half_turns, period, period_change, rotation_rate, orbit_constant_start and _end, orbit_drift
+        (lanes,), mean_velocity and velocity_change (lanes, 3): see `motion.averages.turn_averages`.
+        """
+        samples = {
+            name: self._rows(getattr(self, name))
+            for name in ("position", "axis", "velocity", "angular_velocity")
+        }
+        found = self._assembled.averages(self.time, samples, discard)
+        lanes = self.position.shape[:-2]
+        return {name: values.reshape(*lanes, *values.shape[1:]) for name, values in found.items()}
+
+    def errors(self) -> dict[str, float]:
+        """Largest errors against closed forms and independent integrations, by name.
+
+        Of a single lane; empty where nothing is known (`comparison` says why).
+        """
+        return self.comparison().errors
+
+    def comparison(self) -> Any:
+        """Errors with what they are held against, and a note where there is no reference."""
+        from qbxstokes.simulation.compare import compare_samples
+
+        values: Mapping[str, Array] = {
+            name: self._rows(getattr(self, name))[:, 0] for name in MOTION
+        }
+        return compare_samples(self._assembled, self.time, values)
+
+    def _rows(self, values: Array) -> Array:
+        """Values (lanes, T, ...) as (T, n, ...)."""
+        lanes = self.position.ndim - 2
+        flat = values.reshape(-1, *values.shape[lanes:])
+        return np.ascontiguousarray(np.moveaxis(flat, 0, 1))
+
+
+def integration_facts(trajectory: Any) -> dict[str, Any]:
+    """What an integration did, in numbers."""
+    return {
+        "method": trajectory.method,
+        "steps": trajectory.steps,
+        "rejected": trajectory.rejections,
+        "rhs_evaluations": trajectory.evaluations,
+        "jacobians": trajectory.jacobians,
+        "local_tolerance": trajectory.local_tolerance,
+        "reachable_error": trajectory.reachable,
+        "quaternion_norm_drift": trajectory.norm_drift,
+    }

@@ -1,0 +1,487 @@
+"""The one assembly: bodies, flow, surroundings, loads, constraints, events and the integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.case.document import written
+from qbxstokes.case.events import Events as EventSettings
+from qbxstokes.case.model import Invalid
+from qbxstokes.errors import ConvergenceError, FlowError, SceneError
+from qbxstokes.flows import Flow
+from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.averages import ShearFrame, turn_averages
+from qbxstokes.motion.diagnostics import rotation_period
+from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
+from qbxstokes.runs.quantities import quantities as observe
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Need, Workshop
+from qbxstokes.simulation.result import Motion
+from qbxstokes.simulation.watch import build_events
+from qbxstokes.simulation.writing import to_case
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
+
+Array = NDArray[np.float64]
+ORIGIN, UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+Indices = NDArray[np.intp]
+
+# What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
+Maker = Callable[["Simulation", Workshop], Hydrodynamic]
+# Steps at least over a run whose loads change in time, of which the start tells nothing.
+_STEPS_OF_LOADS = 50.0
+
+
+class Simulation:
+    """One scene: a body in a flow, where it starts, and what acts on it.
+
+    bodies: one `Body` (several in one fluid: not yet). flow: a background flow (`qs.flow`).
+    surroundings: None, an unbounded fluid. position (..., 3), orientation: axes (..., 3) or
+    quaternions (..., 4), and the body's stokes_number (...) broadcast; their leading axes are
+    lanes, independent copies that are integrated together. velocity, angular_velocity (..., 3): at
+    the start, space frame; None: with the flow. loads: external force and torque. constraints:
+    held or prescribed parts of the motion. events: keys of that section of a case. tolerance: error
+    accepted at the end of the motion. On several ranks every rank builds the same simulation.
+
+    >>> import numpy as np, qbxstokes as qs
+    >>> axes = [[1, 0, 1], [1, 0, 2]]
+    >>> scene = qs.Simulation(qs.Body(0.5), qs.flow("shear"), orientation=axes)
+    >>> motion = scene.integrate(np.linspace(0.0, scene.period, 41))
+    >>> motion.axis.shape, bool(np.allclose(motion.axis[:, -1], motion.axis[:, 0]))
+    ((2, 41, 3), True)
+    """
+
+    def __init__(
+        self,
+        bodies: Body | Sequence[Body],
+        flow: Flow,
+        surroundings: None = None,
+        *,
+        position: ArrayLike = ORIGIN,
+        orientation: ArrayLike = UPRIGHT,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        loads: Loads | None = None,
+        constraints: Constraints | None = None,
+        events: Mapping[str, Any] | EventSettings | None = None,
+        tolerance: float = 1e-10,
+    ) -> None:
+        several = list(bodies) if isinstance(bodies, Sequence) else [bodies]
+        if len(several) != 1:
+            raise SceneError("bodies", f"are {len(several)}", "one body; several are not there yet")
+        if surroundings is not None:
+            raise SceneError("surroundings", f"is {surroundings!r}", "None: an unbounded fluid")
+        if not isinstance(flow, Flow):
+            raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
+        self.body, self.flow = several[0], flow
+        x, q, lead = places(position, orientation)
+        self.lanes = np.broadcast_shapes(lead, self.body.stokes_number.shape)
+        self.position = self._per_lane("position", x.reshape(*lead, 3), 3)
+        self.quaternion = self._per_lane("orientation", q.reshape(*lead, 4), 4)
+        stokes = np.broadcast_to(self.body.stokes_number, self.lanes).reshape(-1)
+        self.stokes_number: Array = np.array(stokes)
+        self.velocity = self._optional("velocity", velocity)
+        self.angular_velocity = self._optional("angular_velocity", angular_velocity)
+        self.loads, self.constraints = loads, constraints
+        self.events = _event_settings(events)
+        if not 0.0 < tolerance <= 0.1:
+            raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
+        self.tolerance = float(tolerance)
+
+    def _per_lane(self, name: str, values: Array, width: int) -> Array:
+        try:
+            whole = np.broadcast_to(values, (*self.lanes, width))
+        except ValueError:
+            raise SceneError(
+                name, f"has shape {values.shape}", f"shape {(*self.lanes, width)}, one per lane"
+            ) from None
+        return np.array(whole, dtype=np.float64).reshape(-1, width)
+
+    def _optional(self, name: str, values: ArrayLike | None) -> Array | None:
+        if values is None:
+            return None
+        return self._per_lane(name, np.asarray(values, dtype=np.float64), 3)
+
+    def __len__(self) -> int:
+        """Number of lanes."""
+        return len(self.position)
+
+    def at(self, chosen: Indices) -> Simulation:
+        """Some of the lanes, by their numbers, as one row of lanes."""
+
+        def some(vectors: Array | None) -> Array | None:
+            return None if vectors is None else vectors[chosen]
+
+        def lane_loads(vectors: Any) -> Any:
+            return vectors if callable(vectors) or np.ndim(vectors) < 2 else vectors[chosen]
+
+        loads, bound = self.loads, self.constraints
+        return Simulation(
+            self.body.with_inertia(self.stokes_number[chosen], self.body.inertia),
+            self.flow,
+            position=self.position[chosen],
+            orientation=self.quaternion[chosen],
+            velocity=some(self.velocity),
+            angular_velocity=some(self.angular_velocity),
+            loads=None if loads is None else Loads(*map(lane_loads, vars(loads).values())),
+            constraints=None
+            if bound is None
+            else Constraints(*(None if v is None else lane_loads(v) for v in vars(bound).values())),
+            events=self.events,
+            tolerance=self.tolerance,
+        )
+
+    def shaped(self, values: Array) -> Array:
+        """Values (n, ...) of the lanes in the shape of the leading axes."""
+        return values.reshape(*self.lanes, *values.shape[1:])
+
+    # -- what the scene is --------------------------------------------------------------------
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Velocity gradient (3, 3) at the first lane's start."""
+        return np.asarray(self.flow.gradient(self.position[0]))
+
+    @cached_property
+    def frame(self) -> ShearFrame:
+        """Directions of stream, gradient and vorticity at the first lane's start."""
+        return ShearFrame.of(self.gradient)
+
+    @cached_property
+    def period(self) -> float | None:
+        """Jeffery's period in the gradient at the start; None where the axis comes to rest."""
+        return rotation_period(self.gradient, self.body.aspect_ratio)
+
+    @property
+    def massless(self) -> bool:
+        """Whether no lane has inertia."""
+        return not np.any(self.stokes_number)
+
+    @property
+    def pushed(self) -> bool:
+        """Whether force and torque enter the motion, or come of it."""
+        return not self.massless or self.loads is not None or self.constraints is not None
+
+    @property
+    def kind(self) -> str:
+        """How the free motion is found: by "table", on the "grid", or solved at "every_step"."""
+        if self.body.settings.solve == "every_step":
+            return "every_step"
+        degree = self.flow.degree
+        return "table" if degree is not None and degree <= 3 else "grid"
+
+    def need(self, pushed: bool = False) -> Need:
+        """What is asked of the hydrodynamics; pushed: with the resistance in any case."""
+        completion = self.body.settings.completion
+        if completion is None and (pushed or self.pushed):
+            completion = "surface"
+        return Need(self.kind, completion, self.position[0], self.quaternion[0])
+
+    def check(self) -> None:
+        """Refuse a flow that is not Stokesian near the body, or singular in it at the start."""
+        flow, k = self.flow, self.body.aspect_ratio
+        axes = rotation.axis(self.quaternion)
+        try:
+            if len(flow.singular_points):
+                for place, axis in zip(self.position, axes, strict=True):
+                    check_singularities(flow, place, axis, k)
+        except FlowError as error:
+            right = "move the body or the singular point"
+            raise SceneError("start.position", str(error), right) from None
+        try:
+            check_stokesian(flow, self.position[0], radius=2.0 * max(1.0, k))
+        except FlowError as error:
+            raise SceneError(".".join(map(str, ("flow", *error.key))), str(error)) from None
+        if flow.singular_points_known:
+            return
+        try:
+            check_regular(flow, self.position[0], axes[0], k)
+        except FlowError as error:
+            raise SceneError("flow", str(error), "a start.position away from there") from None
+
+    # -- what is done with it -----------------------------------------------------------------
+
+    def assemble(
+        self, workshop: Workshop | None = None, *, t: float = 0.0, checked: bool = False
+    ) -> Assembled:
+        """The equations of the scene with their start at time t, hydrodynamics formed."""
+        return assemble([self], workshop, t=t, checked=checked)
+
+    def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
+        """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
+
+        Raises ConvergenceError where a step cannot be completed.
+        """
+        return self.assemble(workshop).motion(times)
+
+    def to_yaml(self, times: ArrayLike | None = None) -> str:
+        """The text of a case that says the same; lanes become an axis of a sweep.
+
+        times: instants to store. Raises SceneError naming what no file holds, such as a function.
+        """
+        return written(to_case(self, times))
+
+    @staticmethod
+    def stack(simulations: Sequence[Simulation]) -> Stack:
+        """Several simulations as the lanes of one, which may differ in body, inertia and flow.
+
+        Their tolerance, constraints and kind of inertia have to agree, and their flows have to be
+        polynomials (degree <= 3) or the same.
+        """
+        return Stack(tuple(simulations))
+
+
+def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
+    """Positions (n, 3), unit quaternions (n, 4), and the shape of the leading axes of both."""
+    x, turn = np.asarray(position, dtype=np.float64), np.asarray(orientation, dtype=np.float64)
+    if x.shape[-1:] != (3,) or turn.shape[-1:] not in ((3,), (4,)):
+        raise SceneError(
+            "position",
+            f"has shape {x.shape} and orientation {turn.shape}",
+            "they end in 3, and in 3 (axis) or 4 (quaternion)",
+        )
+    q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
+    lead = np.broadcast_shapes(x.shape[:-1], q.shape[:-1])
+    return (
+        np.array(np.broadcast_to(x, (*lead, 3))).reshape(-1, 3),
+        np.array(np.broadcast_to(q, (*lead, 4))).reshape(-1, 4),
+        lead,
+    )
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Simulations whose lanes are integrated together: see `Simulation.stack`."""
+
+    parts: tuple[Simulation, ...]
+
+    def __len__(self) -> int:
+        """Number of lanes."""
+        return sum(len(part) for part in self.parts)
+
+    def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
+        """The motion of all lanes, one after the other: see `Simulation.integrate`."""
+        return assemble(self.parts, workshop).motion(times)
+
+
+@dataclass
+class Assembled:
+    """A scene, or several stacked, ready to be integrated: equations and their start.
+
+    initial: states (n, n_state) of all lanes.
+    """
+
+    parts: tuple[Simulation, ...]
+    hydrodynamics: tuple[Hydrodynamic, ...]
+    equations: RigidBodyEquations
+    initial: Array
+
+    @property
+    def tolerance(self) -> float:
+        """Error accepted at the end."""
+        return self.parts[0].tolerance
+
+    @property
+    def steady(self) -> bool:
+        """Whether no flow depends on time."""
+        return all(part.flow.steady for part in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Lanes of each part."""
+        ends = np.cumsum([len(part) for part in self.parts])
+        return [slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True)]
+
+    def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
+        """`petsc.stepper.integrate` of the equations with the scene's tolerance.
+
+        start: a checkpoint to go on from, or None. settings: chunks, observers and the like.
+        """
+        from qbxstokes.petsc.stepper import integrate
+
+        end = float(times[-1])
+        return integrate(
+            self.equations,
+            self.initial if start is None else start,
+            times,
+            self.tolerance,
+            longest_step=None if self.equations.steady else end / _STEPS_OF_LOADS,
+            **settings,
+        )
+
+    def watch(self) -> Any:
+        """What watches for events between the steps of a single lane; raises SceneError."""
+        return build_events(self.parts[0], self.equations, self.initial)
+
+    def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
+        """The wanted quantities (T, n, ...) from states (T, n, n_state) at times (T,)."""
+        shears = [part.frame.shear for part in self.parts]
+        found = observe(self.equations, times, states, self.steady, wanted, shears[0])
+        if "orbit_constant" in found and len(self.parts) > 1:
+            from qbxstokes.motion.diagnostics import orbit_constant
+
+            for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
+                axes, k = found["axis"][:, lanes], part.body.aspect_ratio
+                found["orbit_constant"][:, lanes] = (
+                    np.nan if shear is None else orbit_constant(axes, k, shear)
+                )
+        return found
+
+    def averages(
+        self, times: Array, samples: Mapping[str, Array], discard: float = 0.0
+    ) -> dict[str, Array]:
+        """Averages over whole half-turns (`motion.averages`) of samples (T, n, ...), (n, ...)."""
+        found = [
+            turn_averages(
+                times,
+                {name: values[:, lanes] for name, values in samples.items()},
+                part.body.aspect_ratio,
+                part.frame,
+                discard,
+            )
+            for lanes, part in zip(self.slices(), self.parts, strict=True)
+        ]
+        return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+
+    def error_estimates(self, end: float) -> list[float]:
+        """Error to expect at the end, of each part: of the integration and of the body's model."""
+        found = []
+        for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
+            rate = float(np.linalg.norm(part.gradient))
+            slenderness = max(part.body.aspect_ratio, 1.0 / part.body.aspect_ratio)
+            found.append(self.tolerance + formed.model.error_estimate * rate * end * slenderness)
+        return found
+
+    def motion(self, times: ArrayLike) -> Motion:
+        """The motion sampled at times (T,)."""
+        instants = np.asarray(times, dtype=np.float64)
+        if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
+            raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
+        single = len(self.initial) == 1
+        watch = self.watch() if single else None
+        if watch is not None:
+            watch.begin(0.0, self.initial)
+        trajectory = self.trajectory(instants, observe=watch)
+        if trajectory.failure:
+            raise ConvergenceError(trajectory.failure)
+        if trajectory.refusal and watch is not None:
+            watch.ended = ("met_singularity", trajectory.refusal)
+        return Motion.of(self, trajectory, watch)
+
+
+def assemble(
+    parts: Sequence[Simulation],
+    workshop: Workshop | None = None,
+    *,
+    t: float = 0.0,
+    checked: bool = False,
+    pushed: bool = False,
+    evaluation: Any = "auto",
+    maker: Maker | None = None,
+) -> Assembled:
+    """Put the scenes together: the only place where body, flow, loads and equations meet.
+
+    checked: the flows have been checked before. pushed: form resistances in any case. evaluation:
+    of the right-hand side (`RigidBodyEquations`). maker: what makes the hydrodynamics instead of
+    the integral equation. Raises SceneError for scenes that cannot be integrated together.
+    """
+    workshop = workshop or Workshop()
+    parts = tuple(parts)
+    if not checked:
+        for part in parts:
+            part.check()
+    if maker is None:
+        formed = tuple(
+            part.body.hydrodynamics_in(part.flow, part.need(pushed), workshop) for part in parts
+        )
+    else:
+        formed = tuple(maker(part, workshop) for part in parts)
+    first = parts[0]
+    counts = [len(part) for part in parts]
+    models: Any = formed[0].model
+    flows: Any = formed[0].provider
+    if len(parts) > 1:
+        _check_alike(parts)
+        models = [h.model for h, n in zip(formed, counts, strict=True) for _ in range(n)]
+        if any(part.flow is not first.flow for part in parts):
+            flows = [h.provider for h, n in zip(formed, counts, strict=True) for _ in range(n)]
+    equations = RigidBodyEquations(
+        models,
+        flows,
+        np.concatenate([part.stokes_number for part in parts]),
+        sum(counts),
+        _joined(Loads, [part.loads for part in parts], counts),
+        _joined(Constraints, [part.constraints for part in parts], counts),
+        evaluation,
+        first.body.inertia,
+    )
+    initial = equations.initial_state(
+        np.concatenate([part.position for part in parts]),
+        np.concatenate([part.quaternion for part in parts]),
+        _stacked([part.velocity for part in parts]),
+        _stacked([part.angular_velocity for part in parts]),
+        t,
+    )
+    return Assembled(parts, formed, equations, initial)
+
+
+def _check_alike(parts: Sequence[Simulation]) -> None:
+    """Whether the parts may share one integration."""
+
+    def kinds(part: Simulation) -> dict[str, Any]:
+        bound = part.constraints or Constraints()
+        return {
+            "tolerance": part.tolerance,
+            "inertia": part.body.inertia,
+            "whether there is inertia": part.massless,
+            "a velocity at the start": part.velocity is None,
+            "an angular_velocity at the start": part.angular_velocity is None,
+            "loads": part.loads is None,
+            "constraints": tuple(value is None for value in vars(bound).values()),
+            "flow": part.kind if part.kind == "table" else id(part.flow),
+        }
+
+    first = kinds(parts[0])
+    for part in parts[1:]:
+        for name, value in kinds(part).items():
+            if value != first[name]:
+                raise SceneError("lanes", f"differ in {name}", "lanes that agree in it")
+
+
+def _joined(kind: Any, given: Sequence[Any], counts: Sequence[int]) -> Any:
+    """Loads or constraints of all lanes; None where no part has any."""
+    if len(given) == 1 or all(entry is given[0] for entry in given):
+        return given[0]
+    fields = []
+    for name in vars(given[0]):
+        values = [getattr(entry, name) for entry in given]
+        if all(value is values[0] for value in values):
+            fields.append(values[0])
+        elif any(callable(value) for value in values):
+            raise SceneError("lanes", f"have functions of time as {name}", "the same for all lanes")
+        else:
+            rows = [np.broadcast_to(v, (n, 3)) for v, n in zip(values, counts, strict=True)]
+            fields.append(np.concatenate(rows))
+    return kind(*fields)
+
+
+def _stacked(vectors: Sequence[Array | None]) -> Array | None:
+    given = [v for v in vectors if v is not None]
+    return np.concatenate(given) if given else None
+
+
+def _event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSettings:
+    if isinstance(given, EventSettings):
+        return given
+    try:
+        return EventSettings.model_validate(dict(given or {}))
+    except Invalid as invalid:
+        fault = invalid.faults[0]
+        key = ".".join(["events", *map(str, fault.key)])
+        raise SceneError(key, fault.wrong or f"is {fault.value!r}", fault.right) from None

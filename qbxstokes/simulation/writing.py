@@ -1,0 +1,102 @@
+"""A simulation written down as a case."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.case.constraints import FREE
+from qbxstokes.errors import SceneError
+from qbxstokes.flows import Flow
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+_BOUND = {"translation": "velocity", "rotation": "angular_velocity"}
+
+
+def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]:
+    """The keys of a case that writes the simulation down; lanes become an axis of a sweep.
+
+    times: instants to store, increasing. Raises SceneError naming what cannot be written, such as
+    a Python function.
+    """
+    body = scene.body
+    hydrodynamics = body.settings.model_dump()
+    case: dict[str, Any] = {
+        "task": "motion",
+        "body": {"aspect_ratio": body.aspect_ratio},
+        "flow": _flow_keys(scene.flow),
+        "hydrodynamics": {name: v for name, v in hydrodynamics.items() if v is not None},
+        "events": {n: v for n, v in scene.events.model_dump().items() if v not in (None, [], ())},
+        "time": {"tolerance": scene.tolerance},
+    }
+    if times is not None:
+        case["time"]["at"] = np.asarray(times, dtype=float).tolist()
+    if body.inertia != "both":
+        case["body"]["inertia"] = body.inertia
+    if scene.loads is not None:
+        case["forces"] = {
+            name: _written_vector(f"loads.{name}", value)
+            for name, value in vars(scene.loads).items()
+            if callable(value) or np.any(value)
+        }
+    if scene.constraints is not None:
+        case["constraints"] = {
+            name: FREE if value is None else _written_vector(f"constraints.{other}", value)
+            for name, other in _BOUND.items()
+            for value in [getattr(scene.constraints, other)]
+        }
+    rows: dict[str, Array] = {
+        "body.stokes_number": scene.stokes_number,
+        "start.position": scene.position,
+        "start.orientation": scene.quaternion,
+    }
+    for name in ("velocity", "angular_velocity"):
+        if getattr(scene, name) is not None:
+            rows[f"start.{name}"] = getattr(scene, name)
+    if scene.lanes:
+        case["sweep"] = {"axes": [{key: values.tolist() for key, values in rows.items()}]}
+        return case
+    case["body"]["stokes_number"] = float(scene.stokes_number[0])
+    case["start"] = {
+        name.partition(".")[2]: values[0].tolist()
+        for name, values in rows.items()
+        if name.startswith("start.")
+    }
+    case["start"]["orientation"] = {"quaternion": case["start"]["orientation"]}
+    return case
+
+
+def _flow_keys(flow: Flow) -> dict[str, Any]:
+    keys = _plain(flow.spec())
+    for name, value in keys.items():
+        if callable(value):
+            right = "a function in a file: function: FILE.py:NAME"
+            raise SceneError(f"flow.{name}", "is a Python function, which no file holds", right)
+    return dict(keys)
+
+
+def _written_vector(name: str, value: Any) -> list[float]:
+    if callable(value):
+        right = "numbers, expressions in t, a table, or FILE.py:NAME in a case"
+        raise SceneError(name, "is a Python function, which no file holds", right)
+    if np.ndim(value) > 1:
+        raise SceneError(name, "differs from lane to lane", "the same for all lanes")
+    return [float(part) for part in np.asarray(value)]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tuples as lists."""
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return value
