@@ -22,8 +22,9 @@ from qbxstokes.cli.main import run_command, split_arguments
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load
+from qbxstokes.motion.diagnostics import rotation_period
 from qbxstokes.runs.parallel import missing_message
-from qbxstokes.runs.plan import make_plan, rotation_period
+from qbxstokes.runs.plan import make_plan
 from qbxstokes.runs.report import counted
 from qbxstokes.runs.summary import _estimate, _seen, flow_text, shape_text
 from qbxstokes.runs.tasks import plan_of

@@ -15,7 +15,7 @@ from qbxstokes.case.load import load_case
 from qbxstokes.case.timed import expression_in_time, timed
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.loads import loads_and_constraints
+from qbxstokes.simulation.from_case import loads_and_constraints
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {

@@ -17,7 +17,7 @@ from qbxstokes.io.cache import Cache
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.runs.plan import make_plan
 from qbxstokes.runs.scenes import Scenes
-from qbxstokes.simulation.hydrodynamics import form_hydrodynamics
+from qbxstokes.simulation.hydrodynamics import Workshop
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {
@@ -62,9 +62,9 @@ def test_the_resistance_is_formed_where_forces_act_or_it_is_asked_for(
 ) -> None:
     loaded = load_case(write_case(CASE | change))
     plan = make_plan(loaded)
-    assert plan.completion == completion
+    assert plan.simulation.need().completion == completion
     assert any(text.startswith("resistance:") for text in plan.skips) == (completion is None)
-    formed = form_hydrodynamics(loaded, plan).model.formed_resistance
+    formed = plan.simulation.assemble().hydrodynamics[0].model.formed_resistance
     assert (formed is None) == (completion is None)
 
 
@@ -81,7 +81,8 @@ def test_a_sweep_forms_what_any_of_its_bodies_needs(
     axis: dict[str, Any], completion: str | None, write_case: WriteCase
 ) -> None:
     scenes = Scenes(load_case(write_case(CASE | {"sweep": {"axes": [axis]}})))
-    assert {scenes.scene(n).plan.completion for n in range(scenes.size)} == {completion}
+    plans = [scenes.scene(n).plan for n in range(scenes.size)]
+    assert {p.simulation.need(scenes.pushed).completion for p in plans} == {completion}
 
 
 def test_a_kept_body_with_resistance_serves_without_and_not_the_reverse(
@@ -91,7 +92,8 @@ def test_a_kept_body_with_resistance_serves_without_and_not_the_reverse(
     heavy = load_case(write_case(CASE | {"body": {"aspect_ratio": 0.5, "stokes_number": 1}}))
 
     def formed(loaded: Any, folder: str) -> Any:
-        return form_hydrodynamics(loaded, make_plan(loaded), cache=Cache(tmp_path / folder))
+        workshop = Workshop(cache=Cache(tmp_path / folder))
+        return make_plan(loaded).simulation.assemble(workshop).hydrodynamics[0]
 
     alone, whole = formed(free, "small"), formed(heavy, "large")
     assert formed(heavy, "small").facts["cache"] == "formed"

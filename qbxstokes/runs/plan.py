@@ -12,7 +12,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.io.results import MOTION_FIELDS
-from qbxstokes.simulation.from_case import pointed, simulation_of, times_of
+from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -50,10 +50,10 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> Plan:
     pushed: form the resistance, which others that share the body need, in any case.
     """
     case = loaded.case
+    with pointed(loaded):
+        start_of(loaded).check()
     times = times_of(loaded)
     scene = simulation_of(loaded)
-    with pointed(loaded):
-        scene.check()
     # Elsewhere an orbit constant would be a number without meaning.
     simple = scene.frame.simple
     fields = tuple(name for name in MOTION_FIELDS if simple or name != "orbit_constant")

@@ -29,8 +29,7 @@ from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
-from qbxstokes.runs import handout
-from qbxstokes.runs.block import compute_block, starts_of
+from qbxstokes.runs import block, handout
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.columns import SUMMARY
 from qbxstokes.runs.compilation import compilation_told
@@ -517,7 +516,7 @@ class _Computer:
                 lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
         index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
         n = len(index)
-        result = compute_block(
+        result = block.compute_block(
             simulations,
             times,
             layout.fields,
@@ -564,7 +563,7 @@ class _Computer:
         scene = self._scenes.scene(number)
         if body not in self._bodies:
             self._bodies[body] = body_of(scene.loaded)
-        starts = starts_of(scene.loaded, self._scenes.space.values(index), len(index))
+        starts = block.starts_of(scene.loaded, self._scenes.space.values(index), len(index))
         return simulation_of(scene.loaded, self._bodies[body], starts)
 
 

@@ -90,6 +90,13 @@ def simulation_of(
     )
 
 
+def start_of(loaded: LoadedCase) -> Simulation:
+    """The body of a case where it starts, with nothing that acts on it."""
+    start, body = loaded.case.start, body_of(loaded)
+    turn = start_quaternion(start, body.aspect_ratio)
+    return Simulation(body, loaded.flow, position=start.position, orientation=turn)
+
+
 def starts_of(start: Start, aspect_ratio: float) -> Starts:
     """The start of a case as arrays without lanes."""
 
