@@ -20,7 +20,7 @@ ROOT = Path(qbxstokes.__file__).parent
 PACKAGE = "qbxstokes"
 
 LEVELS = (
-    {"geometry", "flows", "reference"},
+    {"geometry", "flows", "reference", "quantities"},
     {"qbx"},
     {"bie"},
     {"motion"},

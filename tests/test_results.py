@@ -13,14 +13,15 @@ import pytest
 from conftest import ROOT
 
 from qbxstokes.errors import CaseError, ResultFileError
-from qbxstokes.io.results import MOTION_FIELDS, ResultWriter, load
+from qbxstokes.io.results import ResultWriter, load
+from qbxstokes.quantities import MOTION
 
 
 def block(start: int, count: int) -> dict[str, np.ndarray]:
     time = np.arange(start, start + count, dtype=float)
     rng = np.random.default_rng(start)
     return {"time": time} | {
-        name: rng.normal(size=(count, *field.shape)) for name, field in MOTION_FIELDS.items()
+        name: rng.normal(size=(count, *about.shape)) for name, about in MOTION.items()
     }
 
 
@@ -35,7 +36,7 @@ def write(path: Path, *blocks: dict[str, np.ndarray], overwrite: bool = False) -
 def test_appended_blocks_read_back_as_one(tmp_path: Path) -> None:
     first, second = block(0, 5), block(5, 3)
     result = load(write(tmp_path / "a.h5", first, second))
-    for name in ("time", *MOTION_FIELDS):
+    for name in ("time", *MOTION):
         np.testing.assert_array_equal(result[name], np.concatenate([first[name], second[name]]))
     np.testing.assert_array_equal(result.axis, result["axis"])
     assert result.provenance["case"] == "body: {}\n" * 2000
@@ -51,9 +52,9 @@ def test_appended_blocks_read_back_as_one(tmp_path: Path) -> None:
 def test_every_dataset_has_units_and_time_as_its_scale(tmp_path: Path) -> None:
     with h5py.File(write(tmp_path / "a.h5", block(0, 4))) as file:
         assert file["time"].attrs["CLASS"] == b"DIMENSION_SCALE"
-        for name in MOTION_FIELDS:
+        for name in MOTION:
             assert file[name].dims[0][0].name == "/time"
-            assert file[name].attrs["units"] == MOTION_FIELDS[name].units
+            assert file[name].attrs["units"] == MOTION[name].units
         assert file.attrs["format"] == "qbxstokes"
         assert "q0, q1, q2, q3" in file.attrs["conventions"]
 

@@ -23,9 +23,9 @@ from qbxstokes.case.sweep import column_name, parse_key
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.io.results import MOTION_FIELDS
 from qbxstokes.io.sweep import parts_of, read_journals, runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
+from qbxstokes.quantities import MOTION
 from qbxstokes.reference import inertial, jeffery
 from qbxstokes.runs.scenes import Scenes
 
@@ -252,7 +252,7 @@ def test_a_trajectory_does_not_depend_on_its_company(sweep: Sweep) -> None:
     axes = ({"body.stokes_number": [0, 2]}, RANDOM)
     together = sweep(*axes)
     alone = sweep(*axes, sweep={"block": 1})
-    for name in MOTION_FIELDS:
+    for name in MOTION:
         scale = np.abs(alone[name]).max()
         close = np.abs(together[name] - alone[name]).max() <= 2e-7 * max(scale, 1.0)
         assert close or name in ("euler_angles", "force", "torque"), name

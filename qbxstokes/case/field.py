@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from qbxstokes.case.base import Boolean, Integer, Number, Text, Vector, entries
 from qbxstokes.case.model import Convert, Field, Problem, Section
+from qbxstokes.quantities import FLUID
 
-Quantity = Literal["velocity", "disturbance_velocity", "pressure", "stress"]
+if TYPE_CHECKING:
+    Fluid = str
+else:
+    Fluid = Literal[tuple(FLUID)]
 Frame = Literal["centre", "space", "body"]
 FRAME = "axes of space about the body's centre, space itself, or the body's own axes"
 
@@ -155,7 +159,7 @@ class FieldSection(Section):
     surface: Surface | None = Field(default=Surface(), description="traction on the body")
     streamlines: Streamlines | None = Field(default=None, description="streamlines")
     tracers: Tracers | None = Field(default=None, description="paths of tracers")
-    quantities: Annotated[tuple[Quantity, ...], Field(min_length=1)] = Field(
+    quantities: Annotated[tuple[Fluid, ...], Field(min_length=1)] = Field(
         default=("velocity", "disturbance_velocity", "pressure", "stress"),
         description="quantities to store at the points",
     )

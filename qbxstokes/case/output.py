@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from qbxstokes.case.base import Boolean, Text, to_text
+from qbxstokes.case.base import Boolean, to_text
 from qbxstokes.case.model import Convert, Field, Problem, Section
+from qbxstokes.quantities import MOTION
+
+if TYPE_CHECKING:
+    Sampled = str
+else:
+    Sampled = Literal[tuple(MOTION)]
 
 
 def _path(value: Any) -> str:
@@ -26,7 +32,7 @@ class Output(Section):
     overwrite: Boolean = Field(
         default=False, description="replace an existing result; otherwise a free name is numbered"
     )
-    fields: Annotated[tuple[Text, ...], Field(min_length=1)] | None = Field(
+    fields: Annotated[tuple[Sampled, ...], Field(min_length=1)] | None = Field(
         default=None,
         description="quantities to store besides time; unset: all",
         examples=[["position", "axis"]],

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.io.places import place, placed_dataset, write_at
-from qbxstokes.io.results import Field
+from qbxstokes.io.places import describe, place, placed_dataset, write_at
+from qbxstokes.quantities import FLUID, INSTANT, POINT, SURFACE
 
 if TYPE_CHECKING:
     import h5py
@@ -27,23 +27,9 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 GROUP = "field"
 
-_XYZ = ("1", "2", "3")
-FIELD_FIELDS: dict[str, Field] = {
-    "points": Field((3,), "c", "space", "points", _XYZ),
-    "velocity": Field((3,), "c/tau", "space", "velocity of the fluid", _XYZ),
-    "disturbance_velocity": Field(
-        (3,), "c/tau", "space", "velocity minus that of the background flow", _XYZ
-    ),
-    "pressure": Field((), "mu/tau", "", "pressure, with that of the background flow"),
-    "stress": Field((6,), "mu/tau", "space", "stress tensor", ("11", "22", "33", "12", "13", "23")),
-    "traction": Field((3,), "mu/tau", "space", "force of the fluid on the body per area", _XYZ),
-    "normals": Field((3,), "1", "space", "outward unit normals", _XYZ),
-}
-# What every point has besides its quantities.
-MARKS: dict[str, Field] = {
-    "inside": Field((), "1", "", "point in the body"),
-    "source": Field((), "1", "", "0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body"),
-}
+# What may stand at points, and what every point has beside its quantities.
+_ARRAYS = FLUID | POINT | SURFACE
+_MARKS = ("inside", "source")
 _NUMBER = np.dtype(np.float64)
 _TYPES = {"inside": np.dtype(np.bool_), "source": np.dtype(np.int8)}
 
@@ -57,14 +43,14 @@ def create(
     """
     group = file.create_group(GROUP)
     time = group.create_dataset("time", data=np.asarray(times, float), track_times=False)
-    time.attrs.update(units="tau", description="instants of the field", frame="")
+    describe(time, INSTANT)
     places = {}
     for name, shape in sets.items():
         inner = group.create_group(name)
         inner.attrs["shape"] = np.array(shape)
         size = int(np.prod(shape))
-        for quantity in ("points", *names, *MARKS):
-            about = FIELD_FIELDS.get(quantity) or MARKS[quantity]
+        for quantity in ("points", *names, *_MARKS):
+            about = _ARRAYS[quantity]
             whole = (len(times), size, *about.shape)
             data = placed_dataset(inner, quantity, whole, _TYPES.get(quantity, _NUMBER), about)
             places[f"{name}/{quantity}"] = place(data)
@@ -93,22 +79,15 @@ class FieldRows:
         os.close(self._descriptor)
 
 
-def describe(data: h5py.Dataset, field: Field) -> None:
-    """Attach units, description, frame and components."""
-    data.attrs.update(units=field.units, description=field.description, frame=field.frame)
-    if field.components:
-        data.attrs["components"] = list(field.components)
-
-
 def put_arrays(
     group: h5py.Group, name: str, arrays: Mapping[str, Array], attributes: Mapping[str, Any]
 ) -> None:
-    """Write a group of whole arrays, those with a name of FIELD_FIELDS with their attributes."""
+    """Write a group of whole arrays, those that are listed quantities with their attributes."""
     inner = group.require_group(name)
     for key, values in arrays.items():
         data = inner.create_dataset(key, data=values, track_times=False)
-        if key in FIELD_FIELDS:
-            describe(data, FIELD_FIELDS[key])
+        if key in _ARRAYS:
+            describe(data, _ARRAYS[key])
     for key, value in attributes.items():
         inner.attrs[key] = value
 

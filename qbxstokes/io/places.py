@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     import h5py
 
-    from qbxstokes.io.results import Field
+    from qbxstokes.quantities import Quantity
 
 
 def placed_dataset(
@@ -24,7 +24,7 @@ def placed_dataset(
     name: str,
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
-    about: Field | None = None,
+    about: Quantity | None = None,
 ) -> h5py.Dataset:
     """A contiguous dataset whose place in the file is fixed at once, and never filled by HDF5."""
     import h5py
@@ -37,10 +37,15 @@ def placed_dataset(
     kind = h5py.h5t.py_create(dtype, logical=True)
     data = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, creation))
     if about is not None:
-        data.attrs.update(units=about.units, description=about.description, frame=about.frame)
-        if about.components:
-            data.attrs["components"] = list(about.components)
+        describe(data, about)
     return data
+
+
+def describe(data: h5py.Dataset, about: Quantity) -> None:
+    """Attach units, description, frame and components."""
+    data.attrs.update(units=about.units, description=about.description, frame=about.frame)
+    if about.components:
+        data.attrs["components"] = list(about.components)
 
 
 def place(data: h5py.Dataset) -> int:

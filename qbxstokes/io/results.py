@@ -1,9 +1,9 @@
 """Result files: one HDF5 file per run, written atomically, read back as NumPy arrays.
 
-Layout of a motion (format_version 1): datasets `time` (T) and the quantities of `MOTION_FIELDS`,
-each (T, ...) with attributes `units`, `description`, `frame` and `time` as its dimension scale;
-groups `provenance` (how it was made) and `summary` (what came out); attributes `format`,
-`format_version`, `task`, `conventions` at the root.
+Layout of a motion (format_version 1): datasets `time` (T) and the quantities of a motion
+(`quantities.MOTION`), each (T, ...) with attributes `units`, `description`, `frame` and `time` as
+its dimension scale; groups `provenance` (how it was made) and `summary` (what came out);
+attributes `format`, `format_version`, `task`, `conventions` at the root.
 
 A file is written under a temporary name beside its target and moved there when it is complete:
 a file that carries the final name is a whole one.
@@ -16,7 +16,6 @@ import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -25,8 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
-from qbxstokes.io.places import reserve
+from qbxstokes.io.places import describe, reserve
 from qbxstokes.io.tables import GROUP, Table, read_tables
+from qbxstokes.quantities import MOTION, TIME, Quantity
 
 if TYPE_CHECKING:
     import h5py
@@ -42,38 +42,6 @@ CONVENTIONS = (
     "and torque act on the body."
 )
 _ATTRIBUTE_LIMIT = 16_384  # HDF5 refuses attributes above 64 KiB; long texts become datasets
-
-
-@dataclass(frozen=True)
-class Field:
-    """A quantity in a result file: shape per instant, units, frame and meaning."""
-
-    shape: tuple[int, ...]
-    units: str
-    frame: str
-    description: str
-    components: tuple[str, ...] = ()
-
-
-_XYZ = ("1", "2", "3")
-TIME = Field((), "tau", "", "instants of the samples")
-MOTION_FIELDS: dict[str, Field] = {
-    "position": Field((3,), "c", "space", "centre of the body", _XYZ),
-    "orientation": Field(
-        (4,), "1", "body to space", "unit quaternion, scalar first", ("0", "1", "2", "3")
-    ),
-    "axis": Field((3,), "1", "space", "symmetry axis D3", _XYZ),
-    "velocity": Field((3,), "c/tau", "space", "velocity of the centre", _XYZ),
-    "angular_velocity": Field((3,), "1/tau", "space", "angular velocity", _XYZ),
-    "force": Field((3,), "mu c^2/tau", "space", "hydrodynamic force on the body", _XYZ),
-    "torque": Field((3,), "mu c^3/tau", "space", "hydrodynamic torque on the body", _XYZ),
-    "euler_angles": Field(
-        (3,), "rad", "body to space", "phi, theta, psi of R3 R1 R3", ("phi", "theta", "psi")
-    ),
-    "orbit_constant": Field(
-        (), "1", "", "Jeffery's orbit constant in the shear at the start: infinite when tumbling"
-    ),
-}
 
 
 def numbered(path: Path) -> Iterator[Path]:
@@ -207,31 +175,31 @@ class ResultWriter:
 
     def append(
         self,
-        block: Mapping[str, ArrayLike],
-        fields: Mapping[str, Field] = MOTION_FIELDS,
+        samples: Mapping[str, ArrayLike],
+        about: Mapping[str, Quantity] = MOTION,
     ) -> None:
         """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
 
         Raises OutputError if they cannot be stored.
         """
         with self._writing():
-            times = np.asarray(block["time"], dtype=float)
+            times = np.asarray(samples["time"], dtype=float)
             scale = self._extended("time", times, TIME)
             if "CLASS" not in scale.attrs:
                 scale.make_scale("time")
-            for name, values in block.items():
+            for name, values in samples.items():
                 if name != "time":
-                    data = self._extended(name, np.asarray(values, dtype=float), fields[name])
+                    data = self._extended(name, np.asarray(values, dtype=float), about[name])
                     if not len(data.dims[0]):
                         data.dims[0].attach_scale(scale)
 
     def append_events(
-        self, name: str, block: Mapping[str, ArrayLike], fields: Mapping[str, Field]
+        self, name: str, rows: Mapping[str, ArrayLike], about: Mapping[str, Quantity]
     ) -> None:
         """Append rows to the group `events/NAME`: `time` (n,) and quantities (n, ...)."""
         with self._writing():
-            for key, values in block.items():
-                self._extended(f"events/{name}/{key}", np.asarray(values, float), fields[key])
+            for key, values in rows.items():
+                self._extended(f"events/{name}/{key}", np.asarray(values, float), about[key])
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -247,23 +215,21 @@ class ResultWriter:
             reason = failure.strerror or str(failure)
             raise OutputError(f"{self.path}: cannot be written ({reason})") from None
 
-    def _extended(self, name: str, values: NDArray[np.float64], field: Field) -> h5py.Dataset:
+    def _extended(self, name: str, values: NDArray[np.float64], about: Quantity) -> h5py.Dataset:
         """The dataset `name` with `values` after what it held."""
-        if values.shape[1:] != field.shape:
-            raise ValueError(f"{name}: samples of shape {values.shape[1:]}, not {field.shape}")
+        if values.shape[1:] != about.shape:
+            raise ValueError(f"{name}: samples of shape {values.shape[1:]}, not {about.shape}")
         if name not in self.file:
-            chunk = max(1, min(len(values), 65_536 // (8 * max(1, int(np.prod(field.shape))))))
+            chunk = max(1, min(len(values), 65_536 // (8 * max(1, int(np.prod(about.shape))))))
             data = self.file.create_dataset(
                 name,
                 data=values,
-                maxshape=(None, *field.shape),
-                chunks=(chunk, *field.shape),
+                maxshape=(None, *about.shape),
+                chunks=(chunk, *about.shape),
                 fletcher32=True,  # damage is noticed when reading
                 track_times=False,
             )
-            data.attrs.update(units=field.units, description=field.description, frame=field.frame)
-            if field.components:
-                data.attrs["components"] = list(field.components)
+            describe(data, about)
             return data
         data = self.file[name]
         held = len(data)

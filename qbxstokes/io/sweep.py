@@ -10,7 +10,7 @@ are there the file is moved from its working folder `NAME.h5.parts/` to its name
 
 Layout (format_version 1, task "sweep"): `table` (n), one row per trajectory with the swept values
 and the summary of each; `time` (T), or (n, T) where the instants differ; the quantities of
-`MOTION_FIELDS` (n, T, ...), each with the dimension scales `trajectory` and the swept values on
+`quantities.MOTION` (n, T, ...), each with the dimension scales `trajectory` and the swept values on
 the first axis and `time` (or `sample`) on the second.
 """
 
@@ -35,12 +35,10 @@ from qbxstokes.io.results import (
     CONVENTIONS,
     FORMAT,
     FORMAT_VERSION,
-    MOTION_FIELDS,
-    TIME,
-    Field,
     write_tree,
 )
 from qbxstokes.io.results import parts_of as parts_of
+from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:
     import h5py
@@ -52,9 +50,6 @@ REASON_LENGTH = 160
 MISSING, DONE, FAILED = 0, 1, 2
 # Numbers of the whole sweep, written in place when it ends.
 TOTALS = ("trajectories", "done", "failed", "steps", "rhs_evaluations", "wall_time", "ranks")
-
-_INDEX = Field((), "1", "", "number of the trajectory")
-_SAMPLE = Field((), "1", "", "number of the sample")
 
 
 @dataclass(frozen=True)
@@ -72,12 +67,12 @@ class Layout:
     fields: tuple[str, ...]
     times: Array | None
     coordinates: tuple[str, ...]
-    descriptions: Mapping[str, tuple[str, str]]
+    descriptions: Mapping[str, Quantity]
 
     @property
     def row_bytes(self) -> int:
         """Bytes per trajectory."""
-        numbers = sum(int(np.prod(MOTION_FIELDS[name].shape)) for name in self.fields)
+        numbers = sum(MOTION[name].size for name in self.fields)
         own_times = self.samples if self.fields and self.times is None else 0
         scales = 8 * (1 + len(self.coordinates))
         return 8 * numbers * self.samples + 8 * own_times + self.dtype.itemsize + scales
@@ -165,18 +160,17 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
     table = placed_dataset(file, "table", (layout.size,), layout.dtype)
     table.attrs["description"] = "one row per trajectory"
     for name in layout.dtype.names or ():
-        units, description = layout.descriptions.get(name, ("", ""))
-        table.attrs[f"{name}: description"] = description
-        if units:
-            table.attrs[f"{name}: units"] = units
+        about = layout.descriptions[name]
+        table.attrs[f"{name}: description"] = about.description
+        if about.units:
+            table.attrs[f"{name}: units"] = about.units
     table.attrs["coordinates"] = list(layout.coordinates)
-    index = placed_dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), _INDEX)
+    index = placed_dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), TRAJECTORY)
     index.make_scale("trajectory")
     scales = []
     for name in layout.coordinates:
         kind = layout.dtype[name]
-        units, description = layout.descriptions.get(name, ("", ""))
-        scale = placed_dataset(file, name, (layout.size,), kind, Field((), units, "", description))
+        scale = placed_dataset(file, name, (layout.size,), kind, layout.descriptions[name])
         scale.make_scale(name)
         scales.append(scale)
     table.dims[0].label = "trajectory"
@@ -189,14 +183,14 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
     time = placed_dataset(file, "time", shape, numbers, TIME)
     second = time
     if own:
-        second = placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), _SAMPLE)
+        second = placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), SAMPLE)
         time.dims[0].attach_scale(index)
         second.make_scale("sample")
         time.dims[1].attach_scale(second)
     else:
         time.make_scale("time")
     for name in layout.fields:
-        about = MOTION_FIELDS[name]
+        about = MOTION[name]
         data = placed_dataset(
             file, name, (layout.size, layout.samples, *about.shape), numbers, about
         )
@@ -224,10 +218,7 @@ class WholeFile:
         """Open it; raises OSError."""
         self._descriptor = os.open(data, os.O_RDWR if writable else os.O_RDONLY)
         self._offsets, self._layout = offsets, layout
-        self._row = {
-            name: 8 * layout.samples * int(np.prod(MOTION_FIELDS[name].shape))
-            for name in layout.fields
-        }
+        self._row = {name: 8 * layout.samples * MOTION[name].size for name in layout.fields}
         self._row["table"] = layout.dtype.itemsize
         if layout.fields and layout.times is None:
             self._row["time"] = 8 * layout.samples

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.series import vector_panels
-from qbxstokes.plots.source import SYMBOLS, ResultLike, samples, units
+from qbxstokes.plots.source import ResultLike, samples, units
+from qbxstokes.quantities import MOTION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +37,7 @@ def draw_path(axes: Axes, result: ResultLike) -> None:
     axes.plot(x, y, color=style.BLUE, rasterized=many, zorder=2)
     axes.plot(x[:1], y[:1], "o", mfc="white", mec=style.BLACK, label="start", zorder=3, ms=5)
     axes.plot(x[-1:], y[-1:], "o", mfc=style.BLACK, mec=style.BLACK, label="end", zorder=3, ms=5)
-    parts = SYMBOLS["position"][1]
+    parts = MOTION["position"].symbols
     axes.set_xlabel(style.label(f"${parts[along]}$", units(result, "position")))
     axes.set_ylabel(style.label(f"${parts[across]}$", units(result, "position")))
     style.legend_above(axes, handle=1.0)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-from qbxstokes.plots.source import SYMBOLS, ResultLike, instants, samples, units
+from qbxstokes.plots.source import ResultLike, instants, samples, units
+from qbxstokes.quantities import MOTION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def vector_panels(result: ResultLike, name: str) -> list[Panel]:
     """Panels of a vector's components; of the position, the displacement since the start."""
     times = instants(result)
     values = samples(result, name, 3)
-    symbol, parts = SYMBOLS[name]
+    symbol, parts = MOTION[name].symbol, MOTION[name].symbols
     if name == "position":
         values = values - values[0]
         symbol, parts = rf"\Delta {symbol}", tuple(rf"\Delta {part}" for part in parts)
@@ -80,7 +81,7 @@ def vector_panels(result: ResultLike, name: str) -> list[Panel]:
 def axis_panel(result: ResultLike) -> Panel:
     """Components of the symmetry axis."""
     times, axis = instants(result), samples(result, "axis", 3)
-    symbol, parts = SYMBOLS["axis"]
+    symbol, parts = MOTION["axis"].symbol, MOTION["axis"].symbols
 
     def draw(axes: Axes) -> None:
         draw_lines(axes, times, [(f"${parts[i]}$", axis[:, i]) for i in range(3)])
@@ -96,7 +97,7 @@ def euler_panel(result: ResultLike) -> Panel:
     angles = np.unwrap(samples(result, "euler_angles", 3), axis=0) / np.pi
 
     def draw(axes: Axes) -> None:
-        parts = SYMBOLS["euler_angles"][1]
+        parts = MOTION["euler_angles"].symbols
         draw_lines(axes, times, [(f"${parts[i]}$", angles[:, i]) for i in range(3)])
         axes.set_ylabel(r"Euler angles$\,/\,\pi$")
 

@@ -14,19 +14,6 @@ from qbxstokes.errors import ResultFileError
 
 Array = NDArray[np.float64]
 
-# How a quantity of a result is written: symbol, and the names of its components.
-SYMBOLS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "position": ("x", ("x_1", "x_2", "x_3")),
-    "orientation": ("q", ("q_0", "q_1", "q_2", "q_3")),
-    "axis": ("D^3", ("D^3_1", "D^3_2", "D^3_3")),
-    "velocity": ("V", ("V_1", "V_2", "V_3")),
-    "angular_velocity": (r"\Omega", (r"\Omega_1", r"\Omega_2", r"\Omega_3")),
-    "force": ("F", ("F_1", "F_2", "F_3")),
-    "torque": ("M", ("M_1", "M_2", "M_3")),
-    "euler_angles": (r"\mathrm{angle}", (r"\varphi", r"\theta", r"\psi")),
-    "orbit_constant": ("C", ()),
-}
-
 
 class ResultLike(Protocol):
     """What `qbxstokes.load` returns, as far as pictures need it."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from qbxstokes.errors import CaseError
 from qbxstokes.plots.source import ResultLike
 from qbxstokes.plots.table import figure_of
+from qbxstokes.quantities import column as quantity_of_column
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,9 +78,7 @@ class SweepTable:
     def column(self, name: str) -> _Column:
         """The description of the column."""
         unit = str(self._about.get(f"{name}: units", ""))
-        if name.startswith("start_euler"):
-            unit = "rad"
-        return _Column(unit)
+        return _Column(unit or quantity_of_column(name).units)
 
 
 def swept_axes(sweep: SweepLike) -> list[str | None]:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
+from qbxstokes.quantities import column as quantity_of_column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,35 +41,6 @@ SCALES = {
     "semilogx": ("log", "linear"),
     "semilogy": ("linear", "log"),
     "linear": ("linear", "linear"),
-}
-# Columns that have a name in the field.
-NAMES = {
-    "aspect_ratio": "aspect ratio $k$",
-    "stokes_number": r"Stokes number $\mathrm{St}$",
-    "period": "period $T$",
-    "rotation_rate": r"mean rotation rate $\langle\Omega\rangle$",
-    "orbit_drift": r"orbit drift $\mathrm{d}\ln C/\mathrm{d}t$",
-    "orbit_constant_start": "orbit constant $C$ at the start",
-    "orbit_constant_end": "orbit constant $C$ at the end",
-    **{f"mean_velocity_{i}": rf"mean velocity $\langle V_{i}\rangle$" for i in (1, 2, 3)},
-    "start_euler_phi": r"$\varphi$ at the start",
-    "start_euler_theta": r"$\theta$ at the start",
-    "start_euler_psi": r"$\psi$ at the start",
-    "expansion_order": "expansion order $p$",
-    "upsampling": r"upsampling $\kappa$",
-    "n_theta": r"$n_\vartheta$",
-    "n_phi": r"$n_\phi$",
-    "condition_number": "condition number",
-}
-SHORT = {
-    "aspect_ratio": "$k$",
-    "stokes_number": r"$\mathrm{St}$",
-    "expansion_order": "$p$",
-    "upsampling": r"$\kappa$",
-    "n_theta": r"$n_\vartheta$",
-    "n_phi": r"$n_\phi$",
-    "start_euler_phi": r"$\varphi_0$",
-    "start_euler_theta": r"$\theta_0$",
 }
 _CURVES = 7  # more curves than this are told apart by lightness and a colour bar
 _PANELS = 6
@@ -353,11 +325,12 @@ def _entry(table: TableLike, name: str, value: Any) -> str:
 
 
 def _words(table: TableLike, name: str) -> str:
-    return NAMES.get(name) or table.column(name).heading or name.replace("_", " ")
+    return table.column(name).heading or quantity_of_column(name).heading
 
 
 def _short(table: TableLike, name: str) -> str:
-    return SHORT.get(name) or table.column(name).heading or name.replace("_", " ")
+    symbol = quantity_of_column(name).symbol
+    return f"${symbol}$" if symbol else _words(table, name)
 
 
 def _unit(table: TableLike, name: str) -> str:

@@ -17,8 +17,7 @@ from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Trajectory
-from qbxstokes.runs.columns import SUMMARY
-from qbxstokes.runs.quantities import BASIC, shape_of
+from qbxstokes.quantities import COLUMNS, MOTION
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.from_case import Starts, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -118,8 +117,8 @@ def compute_block(
     """
     n = sum(len(scene) for scene in scenes)
     result = BlockResult(
-        {name: np.full(n, np.nan) for name in SUMMARY},
-        {name: np.full((n, len(times), *shape_of(name)), np.nan) for name in fields},
+        {name: np.full(n, np.nan) for name in COLUMNS},
+        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in fields},
         times,
     )
     parts: list[Part] = []
@@ -197,8 +196,7 @@ class _Integration:
     def _summarise(self, assembled: Assembled, trajectory: Trajectory, rows: Indices) -> None:
         """Quantities, averages and final states of integrated lanes."""
         result, times = self.result, self.times
-        wanted = (*BASIC, *(name for name in result.quantities if name not in BASIC))
-        samples = assembled.observe(times, trajectory.states, wanted)
+        samples = assembled.observe(times, trajectory.states, tuple(result.quantities))
         for name, array in result.quantities.items():
             array[rows] = samples[name].swapaxes(0, 1)
         table = result.summary

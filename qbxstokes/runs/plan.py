@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.io.results import MOTION_FIELDS
-from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
+from qbxstokes.quantities import MOTION
+from qbxstokes.simulation.from_case import pointed, simulation_of, times_of
 from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -40,7 +39,7 @@ class Plan:
     @property
     def bytes_on_disk(self) -> int:
         """Size of the samples in the result file."""
-        numbers = 1 + sum(math.prod(MOTION_FIELDS[name].shape) for name in self.fields)
+        numbers = 1 + sum(MOTION[name].size for name in self.fields)
         return 8 * numbers * len(self.times)
 
 
@@ -56,15 +55,9 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> Plan:
     scene = simulation_of(loaded)
     # Elsewhere an orbit constant would be a number without meaning.
     simple = scene.frame.simple
-    fields = tuple(name for name in MOTION_FIELDS if simple or name != "orbit_constant")
+    fields = tuple(name for name in MOTION if simple or name != "orbit_constant")
     if case.output.fields is not None:
         for index, name in enumerate(case.output.fields):
-            if name not in MOTION_FIELDS:
-                raise loaded.error(
-                    ("output", "fields", index),
-                    f"{name!r} is not a quantity of a motion",
-                    f"one of {', '.join(MOTION_FIELDS)}",
-                )
             if name not in fields:
                 raise loaded.error(
                     ("output", "fields", index),

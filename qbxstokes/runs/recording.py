@@ -17,19 +17,20 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfinished
-from qbxstokes.io.results import MOTION_FIELDS, TIME, ResultWriter, numbered
+from qbxstokes.io.results import ResultWriter, numbered
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
+from qbxstokes.quantities import MOTION, TIME, of_event
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.target import result_path
 from qbxstokes.simulation.compare import orbit_drift
 from qbxstokes.simulation.simulation import Assembled
-from qbxstokes.simulation.watch import columns_of, split_columns
+from qbxstokes.simulation.watch import split_columns
 
 Array = NDArray[np.float64]
 
 SAMPLES = "samples"
-_COLUMNS = {"time": TIME, **MOTION_FIELDS}
+_COLUMNS = {"time": TIME, **MOTION}
 # Sections that may change between a run and its continuation: its numbers do not depend on them.
 _IRRELEVANT = ("title", "output", "compare", "checkpoint", "field", "sweep")
 # Names of results, with numbers, that are looked through for a run to go on with.
@@ -164,8 +165,8 @@ class Recording:
 
         def receive(chunk: Chunk) -> None:
             if len(chunk.times):
-                found = assembled.observe(chunk.times, chunk.states, tuple(MOTION_FIELDS))
-                columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION_FIELDS]
+                found = assembled.observe(chunk.times, chunk.states, tuple(MOTION))
+                columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self.journal.append(SAMPLES, rows)
             for name, rows in events.take().items():
@@ -215,7 +216,7 @@ class Recording:
         constant = _place("orbit_constant")
         for name, rows in _together(self.journal.blocks()):
             if name != SAMPLES:
-                columns = columns_of(name)
+                columns = of_event(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
             data = split_columns(rows, _COLUMNS)
@@ -225,7 +226,7 @@ class Recording:
             index = np.arange(seen, seen + len(rows))
             kept.append(rows[(index % stride == 0) | (index == total - 1)])
             seen += len(rows)
-        width = sum(math.prod(field.shape) for field in _COLUMNS.values())
+        width = sum(about.size for about in _COLUMNS.values())
         samples = np.concatenate([np.empty((0, width)), *kept])
         return {**split_columns(samples, _COLUMNS), "largest_orbit_drift": np.array(drift)}
 
@@ -249,10 +250,10 @@ def _together(blocks: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]
 def _place(name: str) -> int:
     """First column of a quantity in the rows of samples."""
     start = 0
-    for key, field in _COLUMNS.items():
+    for key, about in _COLUMNS.items():
         if key == name:
             return start
-        start += math.prod(field.shape)
+        start += about.size
     raise KeyError(name)
 
 

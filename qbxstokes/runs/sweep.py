@@ -28,10 +28,11 @@ from qbxstokes.case.sweep import column_name
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
-from qbxstokes.io.results import MOTION_FIELDS, check_writable, numbered
-from qbxstokes.runs import block, handout
+from qbxstokes.io.results import check_writable, numbered
+from qbxstokes.quantities import COLUMNS, MOTION, PARAMETER, STATUS, Quantity
+from qbxstokes.runs import handout
+from qbxstokes.runs.block import compute_block, starts_of
 from qbxstokes.runs.clock import Clock
-from qbxstokes.runs.columns import SUMMARY
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.interrupt import Interruption, interrupted
@@ -180,12 +181,13 @@ def layout_of(scenes: Scenes) -> store.Layout:
     assert case.sweep is not None
     coordinates = _coordinate_types(scenes)
     columns: list[tuple[str, Any]] = [*coordinates.items()]
-    columns += [("status", "i1"), *((name, "f8") for name in SUMMARY)]
+    columns += [("status", "i1"), *((name, "f8") for name in COLUMNS)]
     columns += [("reason", f"S{store.REASON_LENGTH}")]
     fields = scenes.scene(0).plan.fields if case.sweep.store == "samples" else ()
-    about = {name: ("", f"swept value {name}") for name in coordinates}
-    about["status"] = ("", "0 missing, 1 done, 2 failed")
-    about["reason"] = ("", "why it failed")
+    swept = {
+        name: PARAMETER.get(name) or Quantity(name, "", "", f"swept value {name}")
+        for name in coordinates
+    }
     return store.Layout(
         scenes.space.size,
         scenes.samples,
@@ -193,7 +195,7 @@ def layout_of(scenes: Scenes) -> store.Layout:
         fields,
         scenes.common_times,
         tuple(coordinates),
-        {**about, **SUMMARY},
+        {**swept, **STATUS, **COLUMNS},
     )
 
 
@@ -540,8 +542,7 @@ class _Computer:
             table["reason"][i] = reason.encode("ascii", "replace")[: store.REASON_LENGTH]
         rows = {"table": table}
         for name in layout.fields:
-            shape = (n, layout.samples, *MOTION_FIELDS[name].shape)
-            rows[name] = np.full(shape, np.nan)
+            rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
             rows[name][:well] = result.quantities[name]
         if layout.fields and layout.times is None:
             rows["time"] = np.tile(result.times, (n, 1))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.io.results import MOTION_FIELDS as MOTION
-from qbxstokes.simulation.watch import columns_of, events_summary, split_columns
+from qbxstokes.quantities import MOTION, of_event
+from qbxstokes.simulation.watch import events_summary, split_columns
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Assembled
@@ -57,7 +57,7 @@ class Motion:
         events: dict[str, dict[str, Array]] = {}
         if watch is not None:
             for name, rows in watch.take().items():
-                events[name] = split_columns(rows, columns_of(name))
+                events[name] = split_columns(rows, of_event(name))
         summary = {
             **integration_facts(trajectory),
             "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),

@@ -20,7 +20,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.motion.diagnostics import rotation_period
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
-from qbxstokes.runs.quantities import quantities as observe
+from qbxstokes.motion.observables import observe
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Need, Workshop
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.watch import build_events

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
-from qbxstokes.io.results import Field
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import (
     Event,
@@ -22,6 +21,7 @@ from qbxstokes.motion.events import (
     steady,
     turning_point,
 )
+from qbxstokes.quantities import Quantity
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Simulation
@@ -29,21 +29,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _CLEARANCE = 0.05
-_XYZ = ("1", "2", "3")
-
-# Columns of the groups `events/NAME` of a result, in the order of `Events`' rows.
-COLUMNS: dict[str, Field] = {
-    "time": Field((), "tau", "", "instant of the event"),
-    "position": Field((3,), "c", "space", "centre of the body", _XYZ),
-    "axis": Field((3,), "1", "space", "symmetry axis D3", _XYZ),
-    "velocity": Field((3,), "c/tau", "space", "velocity of the centre", _XYZ),
-    "orbit_constant": Field((), "1", "", "orbit constant in the shear at the start of the motion"),
-}
-HALF_TURN_COLUMNS: dict[str, Field] = {
-    **COLUMNS,
-    "period": Field((), "tau", "", "time since the last half-turn but one"),
-    "drift": Field((3,), "c", "space", "displacement since the last half-turn but one", _XYZ),
-}
 
 
 def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Array) -> Events:
@@ -76,17 +61,12 @@ def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Arra
     return Events(equations, passage, events, scene.frame if scene.frame.simple else None)
 
 
-def columns_of(name: str) -> dict[str, Field]:
-    """Columns of the events of one name."""
-    return HALF_TURN_COLUMNS if name == "half_turns" else COLUMNS
-
-
-def split_columns(rows: Array, columns: dict[str, Field]) -> dict[str, Array]:
+def split_columns(rows: Array, columns: Mapping[str, Quantity]) -> dict[str, Array]:
     """Rows (n, width) as an array per column."""
     found, start = {}, 0
-    for name, field in columns.items():
-        width = math.prod(field.shape)
-        found[name] = rows[:, start : start + width].reshape(len(rows), *field.shape)
+    for name, about in columns.items():
+        width = about.size
+        found[name] = rows[:, start : start + width].reshape(len(rows), *about.shape)
         start += width
     return found
 

@@ -28,9 +28,9 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache, default_folder
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
+from qbxstokes.motion.observables import observe
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.reference import heavy
-from qbxstokes.runs.quantities import quantities
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def simulate(
     )
     start = equations.initial_state(position, orientation(axis), **moving)
     done = integrate(equations, start, times, tolerance, chunk_samples=len(times) + 1)
-    samples = quantities(equations, times, done.states, True, wanted)
+    samples = observe(equations, times, done.states, True, wanted)
     return Run(times, samples, done.steps, done.evaluations, done.method)
 
 
