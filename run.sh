@@ -2,7 +2,7 @@
 # Runs qbxstokes in an environment that has all it needs, and makes that environment first.
 #
 #   ./run.sh CASE.yaml [ARGUMENTS]   run a case, as `python -m qbxstokes CASE.yaml [ARGUMENTS]`
-#   ./run.sh test [ARGUMENTS]        run the tests (arguments go to pytest)
+#   ./run.sh test [ARGUMENTS]        run the fast tests, --all: every one (arguments go to pytest)
 #   ./run.sh lint                    check style and types
 #   ./run.sh python|exec ...         run Python or any command in the environment
 #   ./run.sh install                 make the environment and stop
@@ -216,9 +216,9 @@ case $command in
     help | -h | --help) awk 'NR > 1 { if (!/^#/) exit; sub(/^# ?/, ""); print }' "$here/run.sh" ;;
     install) enter '' ;;
     test)
-        enter '[dev]' pytest hypothesis
+        enter '[dev]' pytest hypothesis xdist
         cd "$here"
-        exec python3 -m pytest "${@:2}"
+        exec python3 -m pytest -n 2 --dist loadgroup "${@:2}"
         ;;
     lint)
         enter '[dev]' ruff mypy

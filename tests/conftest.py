@@ -1,31 +1,41 @@
-"""Shared helpers: the command line and MPI as subprocesses, and warnings that are not ours."""
+"""Shared helpers: the command line in this process or in its own, MPI, and which tests are run."""
 
+# ruff: noqa: E402  (BLAS reads its number of threads when NumPy is imported)
 from __future__ import annotations
 
+import contextlib
+import gc
+import io
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+THREADS = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+os.environ.update(THREADS)
+
 import numpy as np
 import pytest
 
+from qbxstokes.__main__ import main
 from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.cli.main import split_arguments
 from qbxstokes.flows.polynomial import PolynomialFlow
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# One thread per process, and Open MPI allowed as root with more ranks than cores.
-ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
+# One thread per process; Open MPI allowed as root with more ranks than cores, and its ranks give
+# way to other processes while they wait.
+ENVIRONMENT = THREADS | {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
     "PYTHONPATH": str(ROOT),
 }
 
@@ -41,9 +51,23 @@ def random_flow(degree: int, rng: np.random.Generator) -> PolynomialFlow:
     return PolynomialFlow(rng.standard_normal(3), *tensors)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--all", action="store_true", help="run every test, the slow ones too")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     # h5py 3.7 (Debian 12) calls numpy.product, which numpy 1.25 deprecates.
     config.addinivalue_line("filterwarnings", "ignore:`product` is deprecated:DeprecationWarning")
+    if config.option.all:
+        config.option.markexpr = ""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that start ranks run one after the other: two jobs of two ranks share no two cores."""
+    for item in items:
+        if item.get_closest_marker("mpi"):
+            item.add_marker(pytest.mark.xdist_group("mpi"))
 
 
 def _run(command: Sequence[str], cwd: Path, timeout: float) -> subprocess.CompletedProcess[str]:
@@ -59,16 +83,84 @@ def _run(command: Sequence[str], cwd: Path, timeout: float) -> subprocess.Comple
 
 
 @pytest.fixture(scope="session", autouse=True)
-def cache_of_the_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A cache of their own: the user's holds what other environments may have formed."""
+def cache_of_the_tests(
+    tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
+) -> Iterator[None]:
+    """A cache of their own, one for all workers: the user's may hold what others have formed."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "cache"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("QBXSTOKES_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("QBXSTOKES_CACHE", str(folder))
+        yield
+
+
+@contextlib.contextmanager
+def _as_it_was() -> Iterator[None]:
+    """What a command may change of its process is put back: the next one finds it as if new."""
+    folder, environment, path = Path.cwd(), dict(os.environ), list(sys.path)
+    signals = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    threshold, errors, options = gc.get_threshold(), np.geterr(), _petsc_options()
+    drawing = sys.modules.get("matplotlib")
+    try:
+        with drawing.rc_context() if drawing else contextlib.nullcontext():
+            yield
+    finally:
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        sys.path[:] = path
+        for number, handler in signals.items():
+            signal.signal(number, handler)
+        gc.set_threshold(*threshold)
+        np.seterr(**errors)
+        _petsc_options(options)
+
+
+def _petsc_options(wanted: dict[str, str] | None = None) -> dict[str, str]:
+    """The options that PETSc holds, none where it has not started; `wanted` takes their place."""
+    if "petsc4py.PETSc" not in sys.modules:
+        return {}
+    database = sys.modules["petsc4py.PETSc"].Options()
+    present = dict(database.getAll())
+    if wanted is not None and wanted != present:
+        for name in present:
+            database.delValue(name)
+        for name, value in wanted.items():
+            database.setValue(name, value)
+    return present
+
+
+@pytest.fixture(autouse=True)
+def process_as_it_was() -> Iterator[None]:
+    """Every test finds its process as the one before found it."""
+    with _as_it_was():
         yield
 
 
 @pytest.fixture
 def run_cli(tmp_path: Path) -> Run:
-    """`run_cli("check", "case.yaml")`: the command line in a process of its own, in tmp_path."""
+    """`run_cli("check", "case.yaml")`: the command line in this process, in tmp_path.
+
+    It leaves the process as it was. Options with one dash, which PETSc reads when it starts, are
+    for `run_process`.
+    """
+
+    def run(*arguments: Any) -> subprocess.CompletedProcess[str]:
+        words = [*map(str, arguments)]
+        own, petsc = split_arguments(words)
+        assert not (own and petsc), "PETSc has started: run_process"
+        out, err = io.StringIO(), io.StringIO()
+        with _as_it_was(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            os.chdir(tmp_path)
+            status = main(words)
+        return subprocess.CompletedProcess(words, status, out.getvalue(), err.getvalue())
+
+    return run
+
+
+@pytest.fixture
+def run_process(tmp_path: Path) -> Run:
+    """The same in a process of its own, for what concerns the process."""
 
     def run(*arguments: Any, timeout: float = 120) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "qbxstokes", *map(str, arguments)]
@@ -104,10 +196,3 @@ def write_case(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
-
-
-@pytest.fixture
-def asked_for(request: pytest.FixtureRequest) -> None:
-    """Skips a test of minutes unless the command line says `-m slow`."""
-    if "slow" not in request.config.option.markexpr.split():
-        pytest.skip("takes minutes: run with -m slow")

@@ -604,10 +604,10 @@ def test_extreme_runs_end_with_a_result_or_a_line(name: str) -> None:
     ],
 )
 def test_a_real_process(
-    content: str, words: list[str], run_cli: Callable[..., Any], tmp_path: Path
+    content: str, words: list[str], run_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     (tmp_path / "case.yaml").write_text(content)
-    done = run_cli("case.yaml", *words)
+    done = run_process("case.yaml", *words)
     Outcome(done.returncode, done.stdout, done.stderr).check_tidy()
     assert done.returncode == 2
     assert [file.name for file in tmp_path.iterdir()] == ["case.yaml"]

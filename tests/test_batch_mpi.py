@@ -203,7 +203,6 @@ def test_killed_sweeps_lose_only_blocks_in_flight(whole: dict[str, bytes], tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("asked_for")
 @pytest.mark.parametrize("seed", range(4))
 def test_twenty_random_kills(whole: dict[str, bytes], tmp_path: Path, seed: int) -> None:
     kill_and_resume(tmp_path, 5, seed)

@@ -24,6 +24,8 @@ from qbxstokes.io.tables import Table
 from qbxstokes.plots.table import figure_of
 from qbxstokes.reference import jeffery
 
+pytestmark = pytest.mark.slow
+
 WriteCase = Callable[..., Path]
 
 

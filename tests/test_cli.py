@@ -50,8 +50,8 @@ def test_words_are_shared_out_between_us_and_petsc() -> None:
     assert split_arguments(["-help"]) == ([], ["-help"])
 
 
-def test_version_and_help_fit_the_terminal(run_cli: Run) -> None:
-    assert run_cli("--version").stdout == f"qbxstokes {qbxstokes.__version__}\n"
+def test_version_and_help_fit_the_terminal(run_cli: Run, run_process: Run) -> None:
+    assert run_process("--version").stdout == f"qbxstokes {qbxstokes.__version__}\n"
     done = run_cli("--help")
     assert done.returncode == 0
     lines = done.stdout.splitlines()
@@ -247,10 +247,11 @@ def test_dry_run_and_explain_compute_nothing(
 
 
 def test_run_writes_a_result_that_says_how_it_was_made(
-    run_cli: Run, write_case: WriteCase, tmp_path: Path
+    run_cli: Run, run_process: Run, write_case: WriteCase, tmp_path: Path
 ) -> None:
     write_case(CASE)
-    done = run_cli("case.yaml", "--set", "output.file=a.h5", "-ts_max_steps", "100000", "-typo", 1)
+    words = ("case.yaml", "--set", "output.file=a.h5", "-ts_max_steps", "100000", "-typo", 1)
+    done = run_process(*words)
     assert done.returncode == 0, done.stderr
     assert "PETSc option -typo was not used" in done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80

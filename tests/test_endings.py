@@ -100,10 +100,10 @@ def test_a_flow_that_ends_ends_the_run_in_one_line(
 
 @pytest.mark.usefixtures("flows")
 def test_a_run_stopped_within_its_first_steps_leaves_nothing(
-    run_cli: Run, write_case: WriteCase, tmp_path: Path
+    run_process: Run, write_case: WriteCase, tmp_path: Path
 ) -> None:
     write_case(user_case("stopping"))
-    done = run_cli("case.yaml", "--quiet")
+    done = run_process("case.yaml", "--quiet")
     assert done.returncode == 130, done.stderr
     assert "no result was written, start again" in done.stderr
     assert sorted(path.name for path in tmp_path.glob("case*")) == ["case.yaml"]

@@ -135,10 +135,9 @@ def test_three_stops_lose_nothing(run_cli: Run, write_case: WriteCase, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("asked_for")
 def test_twenty_kills_lose_nothing(run_cli: Run, write_case: WriteCase, tmp_path: Path) -> None:
     write_case(CASE | {"time": CASE["time"] | {"periods": 40}})
-    done = run_cli("case.yaml", "--quiet", "--set", "output.file=whole.h5", timeout=600)
+    done = run_cli("case.yaml", "--quiet", "--set", "output.file=whole.h5")
     assert done.returncode == 0, done.stderr
     run_to_the_end(tmp_path, [signal.SIGKILL] * 20)
     same(tmp_path / "killed.h5", tmp_path / "whole.h5")

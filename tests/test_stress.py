@@ -19,6 +19,8 @@ from qbxstokes.app.tabulate import Work, failed_rows
 from qbxstokes.io.results import load
 from qbxstokes.io.tables import Column, Table
 
+pytestmark = pytest.mark.slow
+
 WriteCase = Callable[..., Path]
 
 

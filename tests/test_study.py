@@ -22,6 +22,8 @@ from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.reference import heavy
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
 
+pytestmark = pytest.mark.slow
+
 Array = Any
 
 

@@ -17,6 +17,8 @@ from qbxstokes.errors import ResultFileError
 from qbxstokes.io.results import ResultWriter, load
 from qbxstokes.io.tables import Column, Table, read_tables
 
+pytestmark = pytest.mark.slow
+
 
 def sample() -> Table:
     table = Table(
