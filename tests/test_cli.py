@@ -27,6 +27,7 @@ from qbxstokes.runs.parallel import missing_message
 from qbxstokes.runs.plan import make_plan
 from qbxstokes.runs.report import counted
 from qbxstokes.runs.summary import _estimate, _seen, flow_text, shape_text
+from qbxstokes.runs.target import target_of
 from qbxstokes.runs.tasks import plan_of
 
 WriteCase = Callable[..., Path]
@@ -202,7 +203,7 @@ def test_schema_is_json_and_table_is_markdown(run_cli: Run) -> None:
 
 @pytest.mark.parametrize("case", sorted((ROOT / "cases").glob("*.yaml")), ids=lambda p: p.name)
 def test_cases_are_valid_and_say_what_they_are(case: Path) -> None:
-    plan_of(load_case(case), overwrite=True)
+    plan_of(load_case(case))
     text = case.read_text()
     assert text.startswith("# yaml-language-server: $schema=../qbxstokes/case/")
     for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
@@ -220,7 +221,9 @@ def test_plan_refuses_what_the_schema_cannot_see(write_case: WriteCase) -> None:
     }
     for expected, change in faults.items():
         with pytest.raises(CaseError) as caught:
-            make_plan(load_case(write_case(CASE | change)))
+            loaded = load_case(write_case(CASE | change))
+            make_plan(loaded)
+            target_of(loaded)
         assert expected in str(caught.value)
 
 

@@ -21,8 +21,8 @@ from qbxstokes.runs.field_targets import chosen_instants, targets_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.rows import ALONE, RowTeam
 from qbxstokes.simulation.around import Instant
-from qbxstokes.simulation.from_case import body_of, pointed, start_quaternion
-from qbxstokes.simulation.simulation import Assembled, Simulation
+from qbxstokes.simulation.from_case import pointed, start_of
+from qbxstokes.simulation.simulation import Assembled
 
 Array = NDArray[np.float64]
 
@@ -45,10 +45,9 @@ def plan_field(loaded: LoadedCase) -> FieldPlan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
     assert case.field is not None  # the schema requires it for this task
-    position = np.array(case.start.position)
-    quaternion = start_quaternion(case.start, case.body.aspect_ratio)
+    start = start_of(loaded)
     with pointed(loaded):
-        Simulation(body_of(loaded), loaded.flow, position=position, orientation=quaternion).check()
+        start.check()
     targets = targets_of(loaded, case.field)
     points = sum(target.size for target in targets)
     needs = [f"integral equation of a body that is {case.field.body}"]
@@ -63,7 +62,7 @@ def plan_field(loaded: LoadedCase) -> FieldPlan:
         skips.append("stress: not asked for")
     if case.field.tracers is not None and case.task == "field":
         needs.append("paths of tracers around a body that stays in this state")
-    return FieldPlan(position, quaternion, points, tuple(needs), tuple(skips))
+    return FieldPlan(start.position[0], start.quaternion[0], points, tuple(needs), tuple(skips))
 
 
 def run_field(
