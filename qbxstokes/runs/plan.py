@@ -11,7 +11,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import MOTION
-from qbxstokes.simulation.from_case import pointed, simulation_of, times_of
+from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]

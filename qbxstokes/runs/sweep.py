@@ -30,7 +30,7 @@ from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
 from qbxstokes.io.results import check_writable, numbered
 from qbxstokes.quantities import COLUMNS, MOTION, PARAMETER, STATUS, Quantity
-from qbxstokes.runs import handout
+from qbxstokes.runs import block, handout
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.handout import HandOut
