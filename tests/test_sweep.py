@@ -486,10 +486,10 @@ def test_failures_are_told_and_mended(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     from qbxstokes.errors import ConvergenceError
-    from qbxstokes.runs import block
+    from qbxstokes.petsc import stepper
 
     path = write({"body.stokes_number": [1, 2, 3]}, RANDOM, sweep={"block": 7})
-    integrate = block.integrate
+    integrate = stepper.integrate
 
     def failing(equations: Any, *arguments: Any, **options: Any) -> Any:
         if np.any(equations.stokes_number == 2):
@@ -497,7 +497,7 @@ def test_failures_are_told_and_mended(
         return integrate(equations, *arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(block, "integrate", failing)
+        patch.setattr(stepper, "integrate", failing)
         assert run_command([str(path), "--quiet"]) == 1
     errors = capfd.readouterr().err
     assert "trajectory 6 failed: steps grew too small" in errors

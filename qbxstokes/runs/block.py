@@ -19,9 +19,10 @@ from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.quantities import COLUMNS, MOTION
 from qbxstokes.runs.scenes import STOKES
+from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.from_case import Starts, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.simulation import Assembled, Simulation, assemble
+from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -19,8 +19,9 @@ import numpy as np
 from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
+from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
-from qbxstokes.simulation.simulation import Simulation, assemble
+from qbxstokes.simulation.simulation import Simulation
 
 # Bodies from which on some of a block need shorter steps than its first.
 SEVERAL = 8

@@ -21,8 +21,8 @@ from qbxstokes.runs.field_targets import chosen_instants, targets_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.rows import ALONE, RowTeam
 from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.from_case import pointed, start_of
-from qbxstokes.simulation.simulation import Assembled
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,11 @@ from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.rows import RowTeam
+from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
-from qbxstokes.simulation.simulation import Assembled
 from qbxstokes.simulation.watch import events_summary
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, TIME, of_event
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.target import result_path
+from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
 from qbxstokes.simulation.compare import orbit_drift
-from qbxstokes.simulation.simulation import Assembled
 from qbxstokes.simulation.watch import split_columns
 
 Array = NDArray[np.float64]
@@ -37,9 +37,6 @@ _IRRELEVANT = ("title", "output", "compare", "checkpoint", "field", "sweep")
 _NUMBERED = 1000
 # Samples that are kept in memory for the comparison with a reference; thinned from there on.
 _KEPT = 20_000
-# Steps between cuts, where a run can be resumed: a fraction of a second of work or some seconds.
-_CUT_STEPS = {"table": 5000, "grid": 500, "every_step": 100}
-_CUT_SAMPLES = 10_000
 # Rows go to the result in pieces of this size (bytes).
 _PIECE = 2**21
 
@@ -150,13 +147,13 @@ class Recording:
     @property
     def limits(self) -> dict[str, Any]:
         """Where the integrator cuts the run, independent of the clock."""
-        steps = _CUT_STEPS[self._plan.simulation.kind]
+        steps = CUT_STEPS[self._plan.simulation.kind]
         span = math.inf
         if self._interval.unit == "steps":
             steps = min(steps, int(self._interval.number))
         elif self._interval.unit == "periods":
             span = self._interval.number * (self._plan.period or 0.0)
-        return {"chunk_steps": steps, "chunk_samples": _CUT_SAMPLES, "chunk_time": span}
+        return {"chunk_steps": steps, "chunk_samples": CUT_SAMPLES, "chunk_time": span}
 
     def receiver(self, assembled: Assembled, events: Events) -> Any:
         """The function that takes the integrator's chunks."""

@@ -16,8 +16,8 @@ from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.reference import faxen, jeffery
 
 if TYPE_CHECKING:
+    from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.body import Body
-    from qbxstokes.simulation.simulation import Assembled
 
 Array = NDArray[np.float64]
 

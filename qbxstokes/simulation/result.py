@@ -13,7 +13,7 @@ from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation.watch import events_summary, split_columns
 
 if TYPE_CHECKING:
-    from qbxstokes.simulation.simulation import Assembled
+    from qbxstokes.simulation.assembly import Assembled
 
 Array = NDArray[np.float64]
 

@@ -1,8 +1,8 @@
-"""The one assembly: bodies, flow, surroundings, loads, constraints, events and the integrator."""
+"""Simulations: bodies, flow, surroundings, loads, constraints, events and their integration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,17 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.case.document import written
 from qbxstokes.case.events import Events as EventSettings
 from qbxstokes.case.model import Invalid
-from qbxstokes.errors import ConvergenceError, FlowError, SceneError
+from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.geometry import rotation
-from qbxstokes.motion.averages import ShearFrame, turn_averages
+from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import rotation_period
-from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
-from qbxstokes.motion.observables import observe
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Need, Workshop
+from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.simulation.assembly import Assembled, assemble
+from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
-from qbxstokes.simulation.watch import build_events
 from qbxstokes.simulation.writing import to_case
 
 if TYPE_CHECKING:
@@ -32,11 +31,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ORIGIN, UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 Indices = NDArray[np.intp]
-
-# What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
-Maker = Callable[["Simulation", Workshop], Hydrodynamic]
-# Steps at least over a run whose loads change in time, of which the start tells nothing.
-_STEPS_OF_LOADS = 50.0
 
 
 class Simulation:
@@ -269,211 +263,6 @@ class Stack:
     def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
         """The motion of all lanes, one after the other: see `Simulation.integrate`."""
         return assemble(self.parts, workshop).motion(times)
-
-
-@dataclass
-class Assembled:
-    """A scene, or several stacked, ready to be integrated: equations and their start.
-
-    initial: states (n, n_state) of all lanes.
-    """
-
-    parts: tuple[Simulation, ...]
-    hydrodynamics: tuple[Hydrodynamic, ...]
-    equations: RigidBodyEquations
-    initial: Array
-
-    @property
-    def tolerance(self) -> float:
-        """Error accepted at the end."""
-        return self.parts[0].tolerance
-
-    @property
-    def steady(self) -> bool:
-        """Whether no flow depends on time."""
-        return all(part.flow.steady for part in self.parts)
-
-    def slices(self) -> list[slice]:
-        """Lanes of each part."""
-        ends = np.cumsum([len(part) for part in self.parts])
-        return [slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True)]
-
-    def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
-        """`petsc.stepper.integrate` of the equations with the scene's tolerance.
-
-        start: a checkpoint to go on from, or None. settings: chunks, observers and the like.
-        """
-        from qbxstokes.petsc.stepper import integrate
-
-        end = float(times[-1])
-        return integrate(
-            self.equations,
-            self.initial if start is None else start,
-            times,
-            self.tolerance,
-            longest_step=None if self.equations.steady else end / _STEPS_OF_LOADS,
-            **settings,
-        )
-
-    def watch(self) -> Any:
-        """What watches for events between the steps of a single lane; raises SceneError."""
-        return build_events(self.parts[0], self.equations, self.initial)
-
-    def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
-        """The wanted quantities (T, n, ...) from states (T, n, n_state) at times (T,)."""
-        shears = [part.frame.shear for part in self.parts]
-        found = observe(self.equations, times, states, self.steady, wanted, shears[0])
-        if "orbit_constant" in found and len(self.parts) > 1:
-            from qbxstokes.motion.diagnostics import orbit_constant
-
-            for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
-                axes, k = found["axis"][:, lanes], part.body.aspect_ratio
-                found["orbit_constant"][:, lanes] = (
-                    np.nan if shear is None else orbit_constant(axes, k, shear)
-                )
-        return found
-
-    def averages(
-        self, times: Array, samples: Mapping[str, Array], discard: float = 0.0
-    ) -> dict[str, Array]:
-        """Averages over whole half-turns (`motion.averages`) of samples (T, n, ...), (n, ...)."""
-        found = [
-            turn_averages(
-                times,
-                {name: values[:, lanes] for name, values in samples.items()},
-                part.body.aspect_ratio,
-                part.frame,
-                discard,
-            )
-            for lanes, part in zip(self.slices(), self.parts, strict=True)
-        ]
-        return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-
-    def error_estimates(self, end: float) -> list[float]:
-        """Error to expect at the end, of each part: of the integration and of the body's model."""
-        found = []
-        for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
-            rate = float(np.linalg.norm(part.gradient))
-            slenderness = max(part.body.aspect_ratio, 1.0 / part.body.aspect_ratio)
-            found.append(self.tolerance + formed.model.error_estimate * rate * end * slenderness)
-        return found
-
-    def motion(self, times: ArrayLike) -> Motion:
-        """The motion sampled at times (T,)."""
-        instants = np.asarray(times, dtype=np.float64)
-        if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
-            raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
-        single = len(self.initial) == 1
-        watch = self.watch() if single else None
-        if watch is not None:
-            watch.begin(0.0, self.initial)
-        trajectory = self.trajectory(instants, observe=watch)
-        if trajectory.failure:
-            raise ConvergenceError(trajectory.failure)
-        if trajectory.refusal and watch is not None:
-            watch.ended = ("met_singularity", trajectory.refusal)
-        return Motion.of(self, trajectory, watch)
-
-
-def assemble(
-    parts: Sequence[Simulation],
-    workshop: Workshop | None = None,
-    *,
-    t: float = 0.0,
-    checked: bool = False,
-    pushed: bool = False,
-    evaluation: Any = "auto",
-    maker: Maker | None = None,
-) -> Assembled:
-    """Put the scenes together: the only place where body, flow, loads and equations meet.
-
-    checked: the flows have been checked before. pushed: form resistances in any case. evaluation:
-    of the right-hand side (`RigidBodyEquations`). maker: what makes the hydrodynamics instead of
-    the integral equation. Raises SceneError for scenes that cannot be integrated together.
-    """
-    workshop = workshop or Workshop()
-    parts = tuple(parts)
-    if not checked:
-        for part in parts:
-            part.check()
-    if maker is None:
-        formed = tuple(
-            part.body.hydrodynamics_in(part.flow, part.need(pushed), workshop) for part in parts
-        )
-    else:
-        formed = tuple(maker(part, workshop) for part in parts)
-    first = parts[0]
-    counts = [len(part) for part in parts]
-    models: Any = formed[0].model
-    flows: Any = formed[0].provider
-    if len(parts) > 1:
-        _check_alike(parts)
-        models = [h.model for h, n in zip(formed, counts, strict=True) for _ in range(n)]
-        if any(part.flow is not first.flow for part in parts):
-            flows = [h.provider for h, n in zip(formed, counts, strict=True) for _ in range(n)]
-    equations = RigidBodyEquations(
-        models,
-        flows,
-        np.concatenate([part.stokes_number for part in parts]),
-        sum(counts),
-        _joined(Loads, [part.loads for part in parts], counts),
-        _joined(Constraints, [part.constraints for part in parts], counts),
-        evaluation,
-        first.body.inertia,
-    )
-    initial = equations.initial_state(
-        np.concatenate([part.position for part in parts]),
-        np.concatenate([part.quaternion for part in parts]),
-        _stacked([part.velocity for part in parts]),
-        _stacked([part.angular_velocity for part in parts]),
-        t,
-    )
-    return Assembled(parts, formed, equations, initial)
-
-
-def _check_alike(parts: Sequence[Simulation]) -> None:
-    """Whether the parts may share one integration."""
-
-    def kinds(part: Simulation) -> dict[str, Any]:
-        bound = part.constraints or Constraints()
-        return {
-            "tolerance": part.tolerance,
-            "inertia": part.body.inertia,
-            "whether there is inertia": part.massless,
-            "a velocity at the start": part.velocity is None,
-            "an angular_velocity at the start": part.angular_velocity is None,
-            "loads": part.loads is None,
-            "constraints": tuple(value is None for value in vars(bound).values()),
-            "flow": part.kind if part.kind == "table" else id(part.flow),
-        }
-
-    first = kinds(parts[0])
-    for part in parts[1:]:
-        for name, value in kinds(part).items():
-            if value != first[name]:
-                raise SceneError("lanes", f"differ in {name}", "lanes that agree in it")
-
-
-def _joined(kind: Any, given: Sequence[Any], counts: Sequence[int]) -> Any:
-    """Loads or constraints of all lanes; None where no part has any."""
-    if len(given) == 1 or all(entry is given[0] for entry in given):
-        return given[0]
-    fields = []
-    for name in vars(given[0]):
-        values = [getattr(entry, name) for entry in given]
-        if all(value is values[0] for value in values):
-            fields.append(values[0])
-        elif any(callable(value) for value in values):
-            raise SceneError("lanes", f"have functions of time as {name}", "the same for all lanes")
-        else:
-            rows = [np.broadcast_to(v, (n, 3)) for v, n in zip(values, counts, strict=True)]
-            fields.append(np.concatenate(rows))
-    return kind(*fields)
-
-
-def _stacked(vectors: Sequence[Array | None]) -> Array | None:
-    given = [v for v in vectors if v is not None]
-    return np.concatenate(given) if given else None
 
 
 def _event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSettings:
