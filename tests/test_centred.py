@@ -17,6 +17,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.stepper import integrate
+from qbxstokes.petsc.system import RK_FORMULAS
 from qbxstokes.petsc.trajectory import Chunk, Step
 from qbxstokes.runs.scenes import Scenes
 
@@ -61,7 +62,7 @@ def sizes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def noted(self: Any) -> None:
         build(self)
-        found.append(self._vector.getSize() // self.equations.n_bodies)
+        found.append(self._vector.getSize() // self.equations.n_lanes)
 
     monkeypatch.setattr(stepper.Run, "_build", noted)
     return found
@@ -88,7 +89,7 @@ def test_rotation_alone_gives_the_whole_motion(
     whole: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    explicit = method in stepper.RK_FORMULAS
+    explicit = method in RK_FORMULAS
     # A shear leaves every body on its stagnation plane in its place. The Newton iteration of the
     # implicit methods ends by the length of what is integrated: there alone places would count.
     place = (7.0, 0.0, -2.0) if explicit else (0.0, 0.0, 0.0)

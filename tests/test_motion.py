@@ -25,7 +25,7 @@ LOADS = Loads(
 
 
 def random_state(equations: RigidBodyEquations) -> Array:
-    n = equations.n_bodies
+    n = equations.n_lanes
     velocities = () if equations.massless else RNG.standard_normal((2, n, 3))
     return equations.initial_state(
         RNG.standard_normal((n, 3)), rotation.random_quaternions(n, RNG), *velocities
@@ -33,14 +33,14 @@ def random_state(equations: RigidBodyEquations) -> Array:
 
 
 def rates(equations: RigidBodyEquations, y: Array) -> Array:
-    out = np.empty((equations.n_state, equations.n_bodies))
+    out = np.empty((equations.n_state, equations.n_lanes))
     equations.rates(0.0, np.ascontiguousarray(y.T), out)
     return out.T
 
 
 def jacobian(equations: RigidBodyEquations, y: Array) -> Array:
     size = equations.n_state
-    out = np.empty((equations.n_bodies, size, size))
+    out = np.empty((equations.n_lanes, size, size))
     equations.jacobian(0.0, np.ascontiguousarray(y.T), out)
     return out
 

@@ -170,7 +170,7 @@ def test_the_rate_that_petsc_calls_itself_has_the_same_bits(
     )
     block = equations.block_constants()
     assert block is not None
-    native = native_rate(block, n)
+    native = native_rate(block, equations.layout)
     assert native is not None
     rng = np.random.default_rng(2)
     states = rng.standard_normal((equations.n_state, n))

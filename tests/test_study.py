@@ -71,7 +71,7 @@ def test_rate_depends_on_shape_through_the_square_of_lambda_and_on_st_through_th
         assert rates[0] == pytest.approx(rates[1], rel=1e-9)
 
 
-def test_thin_bodies_turn_above_the_threshold_of_the_pendulum() -> None:
+def test_thin_lanes_turn_above_the_threshold_of_the_pendulum() -> None:
     """t'' + t' / lag = (cos t - 1)/lag turns over for lag > 0.70256: shooting along t = -2a."""
     from scipy.integrate import solve_ivp
 

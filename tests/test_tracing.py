@@ -19,7 +19,7 @@ from qbxstokes.flows.named import Paraboloid, Shear, Uniform
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion import kernels, tracing
+from qbxstokes.motion import kernels, law, tracing
 from qbxstokes.motion.equations import Loads, RigidBodyEquations, pack_table
 from qbxstokes.motion.tracing import specialise
 
@@ -99,7 +99,7 @@ def general_rates(
         if loads is None
         else (*loads.force, *loads.body_force, *loads.torque, *loads.body_torque)
     )
-    head = *kernels.tables(pack_table(flow, model).tolist()), tuple(1.0 / x for x in drag), forces
+    head = *law.tables(pack_table(flow, model).tolist()), tuple(1.0 / x for x in drag), forces
     if equations.massless:
         return lambda rows: kernels.massless(*rows, *head)
     follow = None

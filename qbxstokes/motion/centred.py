@@ -13,29 +13,32 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.motion.equations import BlockConstants, RigidBodyEquations
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.layout import ORIENTATION, POSITION, SPIN, Layout
+from qbxstokes.motion.loops import BlockConstants
 
 Array = NDArray[np.float64]
 Function = Callable[[float, Array, Array], None]
 
-_TURNING = (3, 4, 5, 6, 10, 11, 12)
+_TURNING = np.r_[ORIENTATION, SPIN]
 
 
 class CentredEquations:
     """The part of the equations that turns the bodies, for an integrator.
 
-    whole: equations that are `compiled` and whose bodies are `at_rest` in `states` (n_bodies,
-    n_state). The methods are those of `RigidBodyEquations`, of states (n_bodies, 4 or 7).
+    whole: equations that are `compiled` and whose bodies are `at_rest` in `states` (n_lanes,
+    n_state). The methods are those of `RigidBodyEquations`, of states (n_lanes, 4 or 7).
     """
 
     def __init__(self, whole: RigidBodyEquations, states: Array) -> None:
         self._whole, self._states = whole, np.array(states)
-        self._active = np.array([place for place in _TURNING if place < whole.n_state])
-        self._still = np.ascontiguousarray(states[:, :3].T)
-        self.n_bodies, self.n_state = whole.n_bodies, len(self._active)
+        self._active = _TURNING[whole.n_state > _TURNING]
+        self._still = np.ascontiguousarray(states[:, POSITION].T)
+        self.n_lanes, self.n_state = whole.n_lanes, len(self._active)
+        self.layout = Layout(self.n_state, self.n_lanes)
 
     def integrated(self, states: Array) -> Array:
-        """The part of states (n_bodies, n_state of the whole) that changes."""
+        """The part of states (n_lanes, n_state of the whole) that changes."""
         return states[:, self._active]
 
     def completed(self, part: Array) -> Array:
@@ -45,13 +48,13 @@ class CentredEquations:
         return states
 
     def rate_function(self, evaluations: float = 0.0) -> Function:
-        """The function (t, y, out) that writes dy/dt for y (n_state, n_bodies), read-only."""
+        """The function (t, y, out) that writes dy/dt for y (n_state, n_lanes), read-only."""
         return self._whole.rate_function(evaluations, self._still)
 
     def jacobian_function(self, evaluations: float = 0.0) -> Function:
-        """The function (t, y, out) that writes the blocks (n_bodies, n_state, n_state)."""
+        """The function (t, y, out) that writes the blocks (n_lanes, n_state, n_state)."""
         whole, active = self._whole.jacobian_function(evaluations), self._active
-        blocks = np.empty((self.n_bodies, self._whole.n_state, self._whole.n_state))
+        blocks = np.empty((self.n_lanes, self._whole.n_state, self._whole.n_state))
 
         def function(t: float, y: Array, out: Array) -> None:
             states = self.completed(y.T).T

@@ -33,7 +33,7 @@ class Forecast:
     def __init__(
         self, equations: RigidBodyEquations, t: float, state: Array, end: float, tolerance: float
     ) -> None:
-        """state (n_bodies, n_state) at t; tolerance: error accepted at the end."""
+        """state (n_lanes, n_state) at t; tolerance: error accepted at the end."""
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
         self._span = (end - t) * float(np.max(equations.time_rate(t, state)))

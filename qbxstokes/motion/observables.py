@@ -101,7 +101,7 @@ def observe(
         piece = slice(start, min(start + together, samples))
         count = piece.stop - piece.start
         y = states[piece].reshape(count * n, -1)
-        if many.n_bodies != len(y):
+        if many.n_lanes != len(y):
             many = equations.repeated(count)
         moment = Moment(many, float(times[start]), y, shear)
         for name, array in results.items():

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -23,9 +22,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from qbxstokes.motion import kernels
-from qbxstokes.motion.compiled import loops
-from qbxstokes.motion.equations import BlockConstants
+from qbxstokes.motion.compiled import compiled_loops, version
+from qbxstokes.motion.layout import Layout
+from qbxstokes.motion.loops import BlockConstants
 
 Array = NDArray[np.float64]
 
@@ -107,12 +106,14 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
 
 
 @cache
-def _compiled(degree: int, inertial: bool, loaded: bool, following: bool, still: bool) -> Any:
+def _compiled(
+    degree: int, n_state: int, inertial: bool, loaded: bool, following: bool, still: bool
+) -> Any:
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
-    loop = loops(degree)["inertial_block" if inertial else "massless_block"]
+    loop = compiled_loops(degree)["inertial_block" if inertial else "massless_block"]
     namespace = globals() | {
         "_loop": loop,
-        "_STATE": (7 if still else 13) if inertial else (4 if still else 7),
+        "_STATE": n_state,
         "_LOADED": loaded,
         "_INERTIAL": inertial,
         "_FOLLOWING": following,
@@ -121,8 +122,7 @@ def _compiled(degree: int, inertial: bool, loaded: bool, following: bool, still:
     copy = FunctionType(_rate.__code__, namespace, "_rate")
     copy.__module__ = __name__
     # The cache looks at this file alone: the name tells the version of what is called.
-    stamp = Path(kernels.__file__).stat().st_mtime_ns
-    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}{still:d}_{stamp:x}"
+    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}{still:d}_{version()}"
     return numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(copy)
 
 
@@ -149,28 +149,30 @@ class NativeRate:
     It has to outlive them: PETSc keeps the addresses of the function and of its constants.
     """
 
-    def __init__(self, block: BlockConstants, n_bodies: int) -> None:
+    def __init__(self, block: BlockConstants, layout: Layout) -> None:
+        n = layout.columns
         inertial = block.rates is not None
         self._function = _compiled(
             block.degree,
+            layout.n_state,
             inertial,
             block.loads is not None,
             block.follow is not None,
             block.still is not None,
         )
-        self._constants = np.zeros(_RATES + 19 * n_bodies)
+        self._constants = np.zeros(_RATES + 19 * n)
         c = self._constants
-        c[_BODIES] = n_bodies
+        c[_BODIES] = n
         c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION] = block.table, block.mobility
         if block.rates is not None:
             c[_GYRATION] = block.gyration
-            c[_RATES : _RATES + 4 * n_bodies] = block.rates.ravel()
+            c[_RATES : _RATES + 4 * n] = block.rates.ravel()
         if block.follow is not None:
             c[_FOLLOW:_RATES] = block.follow
         if block.loads is not None:
-            c[_RATES + 4 * n_bodies : _RATES + 16 * n_bodies] = block.loads.ravel()
+            c[_RATES + 4 * n : _RATES + 16 * n] = block.loads.ravel()
         if block.still is not None:
-            c[_RATES + 16 * n_bodies :] = block.still.ravel()
+            c[_RATES + 16 * n :] = block.still.ravel()
 
     @property
     def calls(self) -> int:
@@ -190,6 +192,6 @@ class NativeRate:
             raise PETSc.Error(failed)
 
 
-def native_rate(block: BlockConstants, n_bodies: int) -> NativeRate | None:
+def native_rate(block: BlockConstants, layout: Layout) -> NativeRate | None:
     """The right-hand side of a block for PETSc, None where it has to go through Python."""
-    return None if _library() is None else NativeRate(block, n_bodies)
+    return None if _library() is None else NativeRate(block, layout)

@@ -1,4 +1,7 @@
-"""What an integration starts from, hands over on the way and returns."""
+"""What an integration starts from, hands over on the way and returns.
+
+States are (columns, n_state) as in `motion.layout`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ Array = NDArray[np.float64]
 class Checkpoint:
     """All that a run needs to go on, and its record so far; only `time` and `state` at the start.
 
-    state (n_bodies, n_state); step: the next one, 0 to choose; next_sample: index into the times.
+    state (columns, n_state); step: the next one, 0 to choose; next_sample: index into the times.
     method, local_tolerance and reachable are those of the run from its start; see `Trajectory`.
     norm_drift: largest | |q| - 1 | that any cut met before it was removed.
     """
@@ -38,7 +41,7 @@ class Checkpoint:
 class Chunk:
     """Samples since the last cut, and the checkpoint that follows them.
 
-    times (c,); states (c, n_bodies, n_state), quaternions of unit length. `first` is the index of
+    times (c,); states (c, columns, n_state), quaternions of unit length. `first` is the index of
     the first sample in the whole run.
     """
 
@@ -52,7 +55,7 @@ class Chunk:
 class Trajectory:
     """Samples and the record of the integration.
 
-    times (T,), states (T, n_bodies, n_state); both empty when chunks were streamed instead.
+    times (T,), states (T, columns, n_state); both empty when chunks were streamed instead.
     finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
     last sample is then that instant. refusal: what the flow said where it let no step through, near
     a singular point; failure: why the integration cannot go on; both end the run as well, with the
@@ -110,7 +113,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Step:
-    """An accepted step for an observer: instants before and after, states (n_bodies, n_state).
+    """An accepted step for an observer: instants before and after, states (columns, n_state).
 
     state: the state at any instant between, as accurate as the steps.
     """

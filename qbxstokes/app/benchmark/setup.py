@@ -205,7 +205,7 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     from qbxstokes.bie.providers import GridMotion, SolveMotion
     from qbxstokes.flows.named import Paraboloid, Shear
     from qbxstokes.flows.polynomial import PolynomialFlow
-    from qbxstokes.motion import kernels
+    from qbxstokes.motion import kernels, law
     from qbxstokes.motion.equations import RigidBodyEquations, pack_table
     from qbxstokes.petsc.stepper import integrate
 
@@ -266,7 +266,7 @@ def skips(k: float = 0.5) -> Iterator[tuple[str, Callable[[], Any], Callable[[],
     orientations = rotation.random_quaternions(_BLOCK, np.random.default_rng(0))
     equations = RigidBodyEquations(model, flow)
     state = equations.initial_state(x[0], q[0])
-    constants = kernels.tables(pack_table(flow, model).tolist())
+    constants = law.tables(pack_table(flow, model).tolist())
     solve = SolveMotion(operators, flow)
     grid = GridMotion(functional.on_grid(8), flow)
     motion(solve)

@@ -235,7 +235,7 @@ def _alone(work: Work) -> Table:
 def _rates(equations: RigidBodyEquations, y: list[float]) -> Callable[[], Any]:
     """The right-hand side of every body of a block in the state y."""
     rate = equations.rate_function()
-    state = np.repeat(np.array(y)[:, None], equations.n_bodies, axis=1)
+    state = np.repeat(np.array(y)[:, None], equations.n_lanes, axis=1)
     out = np.empty_like(state)
 
     def action() -> Any:

@@ -1,0 +1,275 @@
+"""Loops of the equations of motion over the lanes of a block, to be compiled (compiled.py).
+
+y and dydt: (n_state, n_lanes); table: (74,), the flow and the law as `law.tables` orders them;
+mobility: (4,); loads: (12, n_lanes) or None; rates: (4, n_lanes); jacobian: (n_lanes, n_state,
+n_state); follow: as in `kernels.inertial`. still: None, or centres (3, n_lanes) that stay at rest;
+y and dydt then hold q, and W, alone.
+
+The lanes pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
+works on several lanes at once. It may not reorder arithmetic, so that the numbers are those of the
+plain functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.motion.kernels import STEP, inertial, massless
+from qbxstokes.motion.law import tables
+from qbxstokes.motion.layout import N_INERTIAL, N_MASSLESS, ORIENTATION, SPIN
+
+Array = NDArray[np.float64]
+
+TILE = 64
+# Where the parts of a state begin.
+_Q, _W = ORIENTATION.start, SPIN.start
+_N_Q = ORIENTATION.stop - ORIENTATION.start
+
+
+@dataclass(frozen=True)
+class BlockConstants:
+    """What the compiled loop over a block needs besides the states.
+
+    table (74,): see `law.tables`. mobility (4,). loads (12, n), or None. rates (4, n), gyration
+    and follow (2,) or None, of inertial bodies alone: rates is None for massless ones. still:
+    centres (3, n) that stay, or None (see `motion.centred`).
+    """
+
+    degree: int
+    table: Array
+    mobility: Array
+    loads: Array | None
+    rates: Array | None
+    gyration: float
+    follow: tuple[float, float] | None
+    still: Array | None = None
+
+
+def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:
+    """Columns start to start + count of an array into a tile."""
+    for i in range(source.shape[0]):
+        for b in range(count):
+            tile[i, b] = source[i, start + b]
+
+
+def copy_back(tile: Any, target: Any, start: int, count: int) -> None:
+    """A tile into columns start to start + count of an array."""
+    for i in range(target.shape[0]):
+        for b in range(count):
+            target[i, start + b] = tile[i, b]
+
+
+def column_of_loads(loads: Any, b: int) -> Any:
+    """The loads of lane b."""
+    return (
+        loads[0, b],
+        loads[1, b],
+        loads[2, b],
+        loads[3, b],
+        loads[4, b],
+        loads[5, b],
+        loads[6, b],
+        loads[7, b],
+        loads[8, b],
+        loads[9, b],
+        loads[10, b],
+        loads[11, b],
+    )
+
+
+def massless_block(
+    y: Any,
+    dydt: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
+    still: Any,
+) -> None:
+    """`massless` for every lane of a block."""
+    flow, law = tables(table)
+    s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
+    first = 0 if still is None else _Q
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        if still is not None:
+            copy_tile(still, start, s, count)
+        copy_tile(y, start, s[first:], count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+
+        for b in range(count):
+            rate = massless(
+                s[0, b],
+                s[1, b],
+                s[2, b],
+                s[3, b],
+                s[4, b],
+                s[5, b],
+                s[6, b],
+                flow,
+                law,
+                mobility,
+                None if loads is None else column_of_loads(f, b),
+            )
+            for i in range(len(rate)):
+                r[i, b] = rate[i]
+        copy_back(r[first:], dydt, start, count)
+
+
+def massless_jacobian_block(
+    y: Any,
+    jacobian: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
+) -> None:
+    """d`massless`/dy for every lane of a block, one complex step per column."""
+    flow, law = tables(table)
+    s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+
+        for j in range(N_MASSLESS):
+            for b in range(count):
+                rate = massless(
+                    complex(s[0, b], STEP if j == 0 else 0.0),
+                    complex(s[1, b], STEP if j == 1 else 0.0),
+                    complex(s[2, b], STEP if j == 2 else 0.0),
+                    complex(s[3, b], STEP if j == 3 else 0.0),
+                    complex(s[4, b], STEP if j == 4 else 0.0),
+                    complex(s[5, b], STEP if j == 5 else 0.0),
+                    complex(s[6, b], STEP if j == 6 else 0.0),
+                    flow,
+                    law,
+                    mobility,
+                    None if loads is None else column_of_loads(f, b),
+                )
+                for i in range(len(rate)):
+                    r[i, b] = rate[i].imag / STEP
+            for i in range(N_MASSLESS):
+                for b in range(count):
+                    jacobian[start + b, i, j] = r[i, b]
+
+
+def inertial_block(
+    y: Any,
+    dydt: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
+    rates: Any,
+    gyration: float,
+    follow: Any,
+    still: Any,
+) -> None:
+    """`inertial` for every lane of a block."""
+    flow, law = tables(table)
+    s, r, f, p = (
+        np.zeros((N_INERTIAL, TILE)),
+        np.empty((N_INERTIAL, TILE)),
+        np.empty((12, TILE)),
+        np.empty((4, TILE)),
+    )
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        if still is None:
+            copy_tile(y, start, s, count)
+        else:
+            copy_tile(still, start, s, count)
+            copy_tile(y[:_N_Q], start, s[_Q:], count)
+            copy_tile(y[_N_Q:], start, s[_W:], count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+        copy_tile(rates, start, p, count)
+        for b in range(count):
+            rate = inertial(
+                s[0, b],
+                s[1, b],
+                s[2, b],
+                s[3, b],
+                s[4, b],
+                s[5, b],
+                s[6, b],
+                s[7, b],
+                s[8, b],
+                s[9, b],
+                s[10, b],
+                s[11, b],
+                s[12, b],
+                flow,
+                law,
+                mobility,
+                None if loads is None else column_of_loads(f, b),
+                (p[0, b], p[1, b], p[2, b], p[3, b]),
+                gyration,
+                follow,
+            )
+            for i in range(len(rate)):
+                r[i, b] = rate[i]
+        if still is None:
+            copy_back(r, dydt, start, count)
+        else:
+            copy_back(r[_Q:], dydt[:_N_Q], start, count)
+            copy_back(r[_W:], dydt[_N_Q:], start, count)
+
+
+def inertial_jacobian_block(
+    y: Any,
+    jacobian: Any,
+    table: Any,
+    mobility: Any,
+    loads: Any,
+    rates: Any,
+    gyration: float,
+    follow: Any,
+) -> None:
+    """d`inertial`/dy for every lane of a block, one complex step per column."""
+    flow, law = tables(table)
+    s, r, f, p = (
+        np.empty((N_INERTIAL, TILE)),
+        np.empty((N_INERTIAL, TILE)),
+        np.empty((12, TILE)),
+        np.empty((4, TILE)),
+    )
+    for start in range(0, y.shape[1], TILE):
+        count = min(TILE, y.shape[1] - start)
+        copy_tile(y, start, s, count)
+        if loads is not None:
+            copy_tile(loads, start, f, count)
+        copy_tile(rates, start, p, count)
+        for j in range(N_INERTIAL):
+            for b in range(count):
+                rate = inertial(
+                    complex(s[0, b], STEP if j == 0 else 0.0),
+                    complex(s[1, b], STEP if j == 1 else 0.0),
+                    complex(s[2, b], STEP if j == 2 else 0.0),
+                    complex(s[3, b], STEP if j == 3 else 0.0),
+                    complex(s[4, b], STEP if j == 4 else 0.0),
+                    complex(s[5, b], STEP if j == 5 else 0.0),
+                    complex(s[6, b], STEP if j == 6 else 0.0),
+                    complex(s[7, b], STEP if j == 7 else 0.0),
+                    complex(s[8, b], STEP if j == 8 else 0.0),
+                    complex(s[9, b], STEP if j == 9 else 0.0),
+                    complex(s[10, b], STEP if j == 10 else 0.0),
+                    complex(s[11, b], STEP if j == 11 else 0.0),
+                    complex(s[12, b], STEP if j == 12 else 0.0),
+                    flow,
+                    law,
+                    mobility,
+                    None if loads is None else column_of_loads(f, b),
+                    (p[0, b], p[1, b], p[2, b], p[3, b]),
+                    gyration,
+                    follow,
+                )
+                for i in range(len(rate)):
+                    r[i, b] = rate[i].imag / STEP
+            for i in range(N_INERTIAL):
+                for b in range(count):
+                    jacobian[start + b, i, j] = r[i, b]

@@ -1,0 +1,296 @@
+"""The equations of motion as PETSc's TS takes them: vectors, matrices, callbacks, options.
+
+Explicit formulas take flat vectors by component (`motion.layout`), as the kernels sweep them, and
+where they are compiled a C function of them (`native`). Implicit ones take them by lane, and a
+matrix with one dense block for every lane, which is inverted by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from qbxstokes.errors import FlowError
+from qbxstokes.motion.centred import CentredEquations
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast
+from qbxstokes.petsc.session import temporary_options
+from qbxstokes.petsc.trajectory import Checkpoint
+
+Array = NDArray[np.float64]
+
+RK_FORMULAS = ("5dp", "8vr")
+
+
+@dataclass
+class Counter:
+    """What the callbacks of a run note: calls, and what went wrong in the last step."""
+
+    evaluations: int = 0
+    jacobians: int = 0
+    failure: BaseException | None = field(default=None)
+    refusal: FlowError | None = None  # what the flow said of the last stage it had no value for
+    astray: bool = False  # a stage of the present step was where the rate has no value
+
+
+class System:
+    """Makes integrators of the equations and moves states in and out of their vectors.
+
+    start: where the run begins; samples: how many states are wanted of it up to `end`; the other
+    arguments are those of `stepper.integrate`.
+    """
+
+    def __init__(
+        self,
+        equations: RigidBodyEquations,
+        start: Checkpoint,
+        end: float,
+        samples: int,
+        tolerance: float,
+        method: str | None = None,
+        prefix: str = "",
+        longest_step: float | None = None,
+        comm: Any = PETSc.COMM_SELF,
+    ) -> None:
+        self.equations, self.end, self._samples = equations, end, samples
+        self._prefix, self._longest, self._comm = prefix, longest_step, comm
+        # What is integrated: the rotation alone where no centre can move. Compiled blocks take 1.2
+        # to 2 times less then; with the plain kernels neither one body nor several gain anything.
+        self._moving: RigidBodyEquations | CentredEquations = equations
+        if equations.compiled() and equations.at_rest(start.state):
+            self._moving = CentredEquations(equations, start.state)
+        self.layout = self._moving.layout
+        self.counter = Counter(start.evaluations, start.jacobians)
+        self._guide = Forecast(equations, start.time, start.state, end, tolerance)
+        self._wanted = start.method or method or self._guide.method
+        self.native: Any = None
+
+    @property
+    def evaluations(self) -> int:
+        """Right-hand sides so far, by Python and by PETSc itself."""
+        return self.counter.evaluations + (self.native.calls if self.native else 0)
+
+    def begin(self, start: Checkpoint) -> Any:
+        """The vector of the integrators that start from a checkpoint, and what they measure by."""
+        self._start = start
+        self._scales = self.equations.scales(start.time, start.state)
+        return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)
+
+    def integrator(self, vector: Any, adaptive: bool) -> Any:
+        """A TS of the wanted type with its callbacks, as defaults below the options."""
+        ts = PETSc.TS().create(self._comm)
+        ts.setOptionsPrefix(self._prefix)
+        if self._wanted in RK_FORMULAS:
+            ts.setType("rk")
+            ts.setRKType(self._wanted)
+        else:
+            ts.setType(self._wanted)
+        ts.setMaxSteps(2**31 - 1)
+        ts.setMaxTime(self.end)
+        ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
+        ts.setErrorIfStepFails(False)
+        ts.setMaxStepRejections(100)
+        # The Newton solver inside has the prefix ts_, apart from the solver of integral equations.
+        ts.getSNES().setOptionsPrefix(f"{self._prefix}ts_")
+        defaults = {
+            "ts_adapt_wnormtype": "infinity",
+            **({"ts_adapt_dt_max": repr(self._longest)} if self._longest else {}),
+            "ts_arkimex_type": "5",
+            "ts_bdf_order": "6",
+            "ts_snes_linesearch_type": "basic",
+            "ts_ksp_type": "preonly",
+            "ts_pc_type": "lu" if self.layout.lanes == 1 else "pbjacobi",
+        }
+        forced = {} if adaptive else {"ts_adapt_type": "none"}
+        with temporary_options(self._prefix, defaults, forced):
+            ts.setFromOptions()
+        kind = str(ts.getType())
+        self._by_lane = kind not in EXPLICIT_TYPES
+        self.method = str(ts.getRKType()) if kind == "rk" else kind
+        self.local_tolerance = self._start.local_tolerance or self._guide.tolerance(kind)
+        self.reachable = self._start.reachable or self._guide.reachable(kind)
+        self._expected = self._guide.evaluations(kind) + STAGES * self._samples
+        self.rate = self._rate_callback()
+        if self._by_lane:
+            self._set_implicit(ts, self.rate, vector)
+        elif (native := self._native_rate()) is not None:
+            native.give(ts, vector.duplicate())
+        else:
+            ts.setRHSFunction(self.rate, vector.duplicate())
+        weights = vector.duplicate()
+        self.write(weights, self.local_tolerance * self._scales)
+        ts.setTolerances(rtol=self.local_tolerance, atol=weights)
+        ts.setSolution(vector)
+        return ts
+
+    def _native_rate(self) -> Any:
+        """The compiled rate as a C function, one for all integrators of the run, or None."""
+        if self.native is None:
+            block = self._moving.block_constants(self._expected)
+            if block is not None:
+                from qbxstokes.petsc.native import native_rate
+
+                self.native = native_rate(block, self.layout)
+        return self.native
+
+    def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
+        counter, equations = self.counter, self.equations
+
+        if equations.layout.columns == 1 and not equations.compiled(self._expected):
+            single = equations.rate_of_rows
+
+            def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
+                counter.evaluations += 1
+                try:
+                    values = single(t, state.getArray(readonly=1).tolist())
+                    if not math.isfinite(sum(values)):
+                        raise OverflowError
+                    rate.setArray(values)
+                except (ArithmeticError, ValueError):  # a state beyond all bounds, or no rates
+                    counter.refusal, counter.astray = None, True
+                    rate.set(0.0)  # whatever comes of it is taken back
+                except FlowError as refusal:
+                    counter.refusal, counter.astray = refusal, True
+                    rate.set(0.0)
+                except BaseException as failure:
+                    counter.failure = failure
+                    raise
+
+            return callback
+
+        function = self._moving.rate_function(self._expected)
+        out = np.empty((self.layout.n_state, self.layout.columns))
+
+        def callback_block(ts: Any, t: float, state: Any, rate: Any) -> None:
+            counter.evaluations += 1
+            try:
+                y = self._componentwise(state.getArray(readonly=1))
+                if self._by_lane:
+                    function(t, y, out)
+                    rate.setArray(self.layout.flat_by_lane(out.T))
+                else:  # in place: a copy would cost as much as a stage's vector operation
+                    function(t, y, rate.getArray().reshape(out.shape))
+            except BaseException as failure:
+                counter.failure = failure
+                raise
+
+        return callback_block
+
+    def _matrix(self) -> Any:
+        """Matrix of one dense block per lane; a dense matrix for one lane."""
+        n, size = self.layout.lanes, self.layout.block
+        if n == 1:
+            dense = PETSc.Mat().createDense((size, size), comm=self._comm)
+            dense.setUp()
+            dense.assemble()
+            return dense
+        rows = np.arange(0, n * size * size + 1, size, dtype=PETSc.IntType)
+        columns = np.repeat(np.arange(n * size, dtype=PETSc.IntType).reshape(n, size), size, axis=0)
+        self._pattern = rows, columns.ravel()
+        return PETSc.Mat().createAIJ(
+            (n * size, n * size),
+            bsize=size,
+            csr=(*self._pattern, np.zeros(columns.size)),
+            comm=self._comm,
+        )
+
+    def _set_implicit(self, ts: Any, rate: Callable[..., None], vector: Any) -> None:
+        """The equations as dy/dt - f(t, y) = 0 with the Jacobian shift I - df/dy."""
+        work = vector.duplicate()
+        jacobian = self._jacobian_callback()
+        matrix = self._matrix()
+
+        def residual(ts: Any, t: float, state: Any, slope: Any, out: Any) -> None:
+            rate(ts, t, state, work)
+            out.waxpy(-1.0, work, slope)
+
+        def shifted(
+            ts: Any, t: float, state: Any, slope: Any, shift: float, _: Any, matrix: Any
+        ) -> None:
+            jacobian(t, state, matrix)
+            matrix.scale(-1.0)
+            matrix.shift(shift)
+
+        ts.setIFunction(residual, vector.duplicate())
+        ts.setIJacobian(shifted, matrix, matrix)
+        # With the exact Jacobian the error left by a Newton step is its square times a curvature of
+        # order one. Residuals are no measure: their rounding grows with the stiffness.
+        enough = 0.1 * math.sqrt(self.local_tolerance)
+
+        def converged(_: Any, iteration: int, norms: tuple[float, float, float]) -> int:
+            solution, correction, residual = norms
+            if not math.isfinite(residual):
+                return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
+            if iteration > 0 and correction <= enough * max(1.0, solution):
+                return int(PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE)
+            return int(PETSc.SNES.ConvergedReason.CONVERGED_ITERATING)
+
+        ts.getSNES().setConvergenceTest(converged)
+
+    def _jacobian_callback(self) -> Callable[[float, Any, Any], None]:
+        counter, equations = self.counter, self._moving
+        function = equations.jacobian_function(self._expected)
+        lanes, size = self.layout.lanes, self.layout.block
+        blocks = np.empty((lanes, size, size))
+        indices = np.arange(size, dtype=PETSc.IntType)
+
+        def callback(t: float, state: Any, matrix: Any) -> None:
+            counter.jacobians += 1
+            try:
+                try:
+                    function(t, self._componentwise(state.getArray(readonly=1)), blocks)
+                except FlowError as refusal:
+                    counter.refusal, counter.astray = refusal, True
+                except ArithmeticError:
+                    counter.refusal, counter.astray = None, True
+                if lanes == 1 and not np.isfinite(blocks).all():
+                    counter.astray = True
+                if counter.astray:
+                    blocks[:] = 0.0  # whatever comes of it is taken back
+                if lanes == 1:
+                    matrix.setValues(indices, indices, blocks[0])
+                else:
+                    matrix.setValuesCSR(*self._pattern, blocks)
+                matrix.assemble()
+            except BaseException as failure:
+                counter.failure = failure
+                raise
+
+        return callback
+
+    def _componentwise(self, values: Array) -> Array:
+        """The vector's values as (n_state, columns) of what is integrated."""
+        return self.layout.by_lane(values) if self._by_lane else self.layout.by_component(values)
+
+    def write(self, vector: Any, states: Array) -> None:
+        """Put whole states (columns, n_state) into a vector."""
+        part = self._moving.integrated(states)
+        vector.setArray(self.layout.flat_by_lane(part) if self._by_lane else part.T.ravel())
+
+    def read(self, vector: Any) -> Array:
+        """Whole states (columns, n_state) of a vector, as a copy."""
+        return self.states(vector.getArray(readonly=1))
+
+    def states(self, values: Array) -> Array:
+        """Whole states (columns, n_state) of a vector's values, as a copy."""
+        return self._moving.completed(self._componentwise(values).T)
+
+    def first_step(self) -> float:
+        """A step over which nothing moves by more than a tenth of its scale."""
+        equations, checkpoint = self.equations, self._start
+        state = np.ascontiguousarray(checkpoint.state.T)
+        rate = np.empty_like(state)
+        equations.rates(checkpoint.time, state, rate)
+        size = self._scales.T + np.abs(state)
+        fastest = float(np.max(np.abs(rate) / size))
+        if not self._by_lane:
+            fastest = max(fastest, float(np.max(equations.stiffness)))
+        span = self.end - checkpoint.time
+        span = min(span, self._longest or span)
+        return min(span, 0.1 / fastest) if fastest > 0.0 else span
