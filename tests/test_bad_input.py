@@ -27,11 +27,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qbxstokes.__main__ import main
-from qbxstokes.case.describe import keys
-from qbxstokes.case.load import section_of
+from qbxstokes.case.model import section_of
+from qbxstokes.case.schema import keys
 from qbxstokes.cli import main as cli
 from qbxstokes.flows import REGISTRY
-from qbxstokes.io.results import ResultWriter
+from qbxstokes.io.writer import ResultWriter
 
 CASES = sorted((Path(__file__).parents[1] / "cases").glob("*.yaml"))
 LONGEST = 2.0  # seconds that looking at one case may take

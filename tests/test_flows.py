@@ -26,9 +26,9 @@ from qbxstokes.flows import (
     clearance,
     resolve_paths,
 )
-from qbxstokes.flows.base import rotation_matrix
 from qbxstokes.flows.differences import gradient_of, laplacian_of
 from qbxstokes.flows.polynomial import parse_monomial
+from qbxstokes.flows.values import rotation_matrix
 from qbxstokes.geometry import rotation
 
 CUBIC = {

@@ -1,7 +1,8 @@
-"""The map of the house: imports go down only, and each outside library has one place.
+"""The map of the house: imports go down only, in no circles, each outside library in one place.
 
 The packages are ordered in levels. A module imports from its own package and from lower levels;
-packages on one level do not know each other. All may import `errors` and the version.
+packages on one level do not know each other. All may import `errors` and the version. Within a
+package too no module needs, through any others, itself.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,43 @@ def violations(source: str, module: str, is_package: bool = False) -> list[str]:
     return found
 
 
+def needed(source: str, module: str, is_package: bool, known: Iterable[str]) -> set[str]:
+    """Those of the known modules that a source text imports, wherever, but for types alone."""
+    tree = ast.parse(source)
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if id(node) in typing_only or not isinstance(node, ast.Import | ast.ImportFrom):
+            continue
+        names = list(imports(ast.unparse(node), module, is_package))
+        if isinstance(node, ast.ImportFrom):  # a name in a module, or a module in a package
+            names += [f"{name}.{alias.name}" for name in names for alias in node.names]
+        found |= {name for name in names if name != module and not module.startswith(f"{name}.")}
+    return found & set(known)
+
+
+def circles(needs: Mapping[str, set[str]]) -> list[str]:
+    """Modules that need themselves through others."""
+
+    def reached(start: str) -> set[str]:
+        seen: set[str] = set()
+        pending = [*needs[start]]
+        while pending:
+            name = pending.pop()
+            if name not in seen:
+                seen.add(name)
+                pending += needs[name]
+        return seen
+
+    return sorted(name for name in needs if name in reached(name))
+
+
 def run_python(code: str) -> str:
     """Output of a fresh interpreter that has run the code."""
     result = subprocess.run(
@@ -135,6 +173,28 @@ def test_imports_go_down(path: Path) -> None:
     assert violations(source, module_name(path), path.name == "__init__.py") == []
 
 
+def test_no_imports_in_circles() -> None:
+    names = {module_name(path): path for path in SOURCES}
+    needs = {
+        name: needed(path.read_text(encoding="utf-8"), name, path.name == "__init__.py", names)
+        for name, path in names.items()
+    }
+    assert needs["qbxstokes.flows.registry"] > {"qbxstokes.flows.base", "qbxstokes.flows.user"}
+    assert circles(needs) == []
+
+
+def test_circles_are_seen() -> None:
+    sources = {
+        "qbxstokes.flows.a": "def f():\n    from qbxstokes.flows import b",
+        "qbxstokes.flows.b": "from .c import thing",
+        "qbxstokes.flows.c": "import qbxstokes.flows.a",
+        "qbxstokes.flows.d": "if TYPE_CHECKING:\n    from qbxstokes.flows.e import E",
+        "qbxstokes.flows.e": "from qbxstokes.flows.d import D",
+    }
+    needs = {name: needed(text, name, False, sources) for name, text in sources.items()}
+    assert circles(needs) == ["qbxstokes.flows.a", "qbxstokes.flows.b", "qbxstokes.flows.c"]
+
+
 @pytest.mark.parametrize(
     ("module", "source"),
     [
@@ -148,6 +208,11 @@ def test_imports_go_down(path: Path) -> None:
         ("qbxstokes.flows.linear", "from qbxstokes.geometry import spheroid"),
         ("qbxstokes.reference.jeffery", "import numba"),
         ("qbxstokes.io.results", "from qbxstokes.case import schema"),
+        ("qbxstokes.io.results", "from qbxstokes.simulation import body"),
+        ("qbxstokes.simulation.body", "from qbxstokes.runs import plan"),
+        ("qbxstokes.runs.motion", "from qbxstokes.cli import main"),
+        ("qbxstokes.flows.named", "from qbxstokes import quantities"),
+        ("qbxstokes.quantities", "from qbxstokes.geometry import rotation"),
         ("qbxstokes.errors", "from qbxstokes.geometry import spheroid"),
         ("qbxstokes.helpers", ""),
     ],
@@ -165,6 +230,9 @@ def test_forbidden_imports_are_seen(module: str, source: str) -> None:
             "from ..geometry import rotation\nfrom . import drift",
         ),
         ("qbxstokes.flows.linear", "from qbxstokes.errors import FlowError"),
+        ("qbxstokes.simulation.body", "from qbxstokes.case import schema\nimport qbxstokes.petsc"),
+        ("qbxstokes.runs.motion", "from qbxstokes.simulation import body"),
+        ("qbxstokes.io.results", "from qbxstokes.quantities import MOTION"),
         ("qbxstokes.reference.jeffery", "import math\nfrom scipy import special"),
         ("qbxstokes.petsc.shell", "from petsc4py import PETSc\nfrom qbxstokes.qbx import operator"),
         ("qbxstokes.__main__", "from qbxstokes.runs import command as run"),

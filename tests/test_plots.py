@@ -17,8 +17,10 @@ from qbxstokes.cli.main import run_command
 from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.geometry import rotation
-from qbxstokes.io.results import Result, ResultWriter, load
+from qbxstokes.io.result import Result
+from qbxstokes.io.results import load
 from qbxstokes.io.tables import Column, Table
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Motion, animate
 from qbxstokes.plots.between import axis_path, between

@@ -13,7 +13,8 @@ import pytest
 from conftest import ROOT
 
 from qbxstokes.errors import CaseError, ResultFileError
-from qbxstokes.io.results import ResultWriter, load
+from qbxstokes.io.results import load
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import MOTION
 
 
@@ -90,7 +91,7 @@ import resource, signal, sys
 import numpy as np
 from pathlib import Path
 from qbxstokes.errors import OutputError
-from qbxstokes.io.results import ResultWriter
+from qbxstokes.io.writer import ResultWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 try:

@@ -443,7 +443,7 @@ def test_a_study_stopped_after_its_blocks_goes_on_without_them(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from qbxstokes.io.results import ResultWriter
+    from qbxstokes.io.writer import ResultWriter
     from qbxstokes.plots import style
 
     monkeypatch.chdir(tmp_path)

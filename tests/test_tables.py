@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.results import ResultWriter, load
+from qbxstokes.io.results import load
 from qbxstokes.io.tables import Column, Table, read_tables
+from qbxstokes.io.writer import ResultWriter
 
 pytestmark = pytest.mark.slow
 

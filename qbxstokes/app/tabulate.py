@@ -22,8 +22,9 @@ from typing import Any
 from qbxstokes.case.load import LoadedCase, nearest
 from qbxstokes.case.tabulate import Tables
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
-from qbxstokes.io.results import ResultWriter, check_writable, free_name
+from qbxstokes.io.names import check_writable, free_name
 from qbxstokes.io.tables import Table
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.plan import result_path

@@ -12,21 +12,11 @@ from collections.abc import Collection, Iterator
 from typing import Any, Literal
 
 from qbxstokes.case.document import printable
-from qbxstokes.case.load import section_of
-from qbxstokes.case.model import MISSING, Convert, FieldInfo, Section
-from qbxstokes.case.schema import FOREIGN, TABLE_TASKS, Case
+from qbxstokes.case.model import MISSING, Convert, FieldInfo, Section, section_of
+from qbxstokes.case.schema import FOREIGN, TABLE_TASKS, Case, keys
 from qbxstokes.errors import CaseError
 
 SCHEMA_FILE = "case.schema.json"
-
-
-def keys(model: type[Section] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every key of the case with its field, sections before their keys."""
-    for name, field in model.model_fields.items():
-        yield prefix + name, field
-        inner = section_of(field.annotation)
-        if inner:
-            yield from keys(inner, f"{prefix}{name}.")
 
 
 def default_text(field: FieldInfo) -> str:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import difflib
 import re
-import types
-import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.base import describe
 from qbxstokes.case.document import Document, Key, document_of, parse, read_text
-from qbxstokes.case.model import Fault, FieldInfo, Invalid, Section
-from qbxstokes.case.schema import TABLE_TASKS, Case
+from qbxstokes.case.model import Fault, Invalid, section_of
+from qbxstokes.case.schema import TABLE_TASKS, Case, keys, section_at
 from qbxstokes.case.sweep import (
     TABLE,
     Sweep,
@@ -97,7 +95,7 @@ def _space(document: Document, folder: Path) -> SweepSpace:
         for number, axis in enumerate(section.axes):
             for name in axis:
                 if name != TABLE and section_at(parse_key(name)[:1]) is None:
-                    close = nearest(name, [key for key, _ in _swept_keys()])
+                    close = nearest(name, [key for key, _ in keys()])
                     right = f"did you mean {close}?" if close else "a key such as body.aspect_ratio"
                     where = ("sweep", "axes", number, name)
                     raise document.error(where, "unknown key", right)
@@ -107,12 +105,6 @@ def _space(document: Document, folder: Path) -> SweepSpace:
         raise document.error(*_told(first)) from None
     except SweepFault as fault:
         raise document.error(fault.key, fault.wrong, fault.right) from None
-
-
-def _swept_keys() -> Iterator[tuple[str, FieldInfo]]:
-    from qbxstokes.case.describe import keys
-
-    return keys()
 
 
 def _first_point(document: Document, space: SweepSpace) -> Document:
@@ -172,26 +164,6 @@ def nearest(word: str, known: Sequence[str]) -> str | None:
     return next((name for name in known if matches and name.lower() == matches[0]), None)
 
 
-def section_at(key: Key) -> type[Section] | None:
-    """The section class that `key` leads to, or None where it leads to a plain value."""
-    model: type[Section] | None = Case
-    for part in key:
-        if model is None or part not in model.model_fields:
-            return None
-        model = section_of(model.model_fields[str(part)].annotation)
-    return model
-
-
-def section_of(annotation: Any) -> type[Section] | None:
-    """The section class in a field's annotation, looking through `| None`."""
-    if isinstance(annotation, type) and issubclass(annotation, Section):
-        return annotation
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        found = (section_of(option) for option in typing.get_args(annotation))
-        return next((model for model in found if model is not None), None)
-    return None
-
-
 def _told(fault: Fault) -> tuple[Key, str, str]:
     """Key, what is wrong, and what would be right."""
     key, value, right = fault.key, fault.value, fault.right
@@ -217,8 +189,8 @@ def _told(fault: Fault) -> tuple[Key, str, str]:
         return key, f"{describe(value)} is not a choice", right
     if fault.kind == "section":
         model = section_at(key)
-        keys = f": {', '.join(model.model_fields)}" if model else ""
-        right = f"keys are expected below it{keys}"
+        names = f": {', '.join(model.model_fields)}" if model else ""
+        right = f"keys are expected below it{names}"
         if key == ("flow",) and isinstance(value, str):
             right = f"write flow: {{type: {value}}}"
         elif isinstance(value, str) and re.match(r"\w+:\S", value):

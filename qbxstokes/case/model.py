@@ -242,6 +242,16 @@ class Section:
         return f"{type(self).__name__}({values})"
 
 
+def section_of(annotation: Any) -> type[Section] | None:
+    """The section class in a field's annotation, looking through `| None`."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        found = (section_of(option) for option in typing.get_args(annotation))
+        return next((model for model in found if model is not None), None)
+    return None
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Section):
         return value.model_dump()

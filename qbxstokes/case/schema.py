@@ -7,6 +7,7 @@ section is one new module and one field of `Case`; a new task is one word in `Ta
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from qbxstokes.case.base import Text, describe
@@ -20,7 +21,7 @@ from qbxstokes.case.field import FieldSection
 from qbxstokes.case.flow import FlowSection
 from qbxstokes.case.forces import Forces
 from qbxstokes.case.hydrodynamics import Hydrodynamics
-from qbxstokes.case.model import Convert, Field, Problem, Section
+from qbxstokes.case.model import Convert, Field, FieldInfo, Key, Problem, Section, section_of
 from qbxstokes.case.output import Output
 from qbxstokes.case.start import Start
 from qbxstokes.case.stress import Stress
@@ -198,3 +199,22 @@ class Case(Section):
                 f"r_over_h <= {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",
                 ("hydrodynamics", "r_over_h"),
             )
+
+
+def keys(model: type[Section] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key of the case with its field, sections before their keys."""
+    for name, field in model.model_fields.items():
+        yield prefix + name, field
+        inner = section_of(field.annotation)
+        if inner:
+            yield from keys(inner, f"{prefix}{name}.")
+
+
+def section_at(key: Key) -> type[Section] | None:
+    """The section class that `key` leads to, or None where it leads to a plain value."""
+    model: type[Section] | None = Case
+    for part in key:
+        if model is None or part not in model.model_fields:
+            return None
+        model = section_of(model.model_fields[str(part)].annotation)
+    return model

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from qbxstokes.errors import CaseError
-from qbxstokes.io.results import Result, load
+from qbxstokes.io.result import Result
+from qbxstokes.io.results import load
 from qbxstokes.io.sweep_result import SweepResult
 from qbxstokes.io.tables import Table
 

@@ -1,6 +1,6 @@
 """Background flows: Stokes flows in which the body moves."""
 
-from qbxstokes.flows.base import Flow
+from qbxstokes.flows.base import Flow, SumFlow, add_flows
 from qbxstokes.flows.check import (
     StokesianReport,
     check_regular,
@@ -8,7 +8,6 @@ from qbxstokes.flows.check import (
     check_stokesian,
     clearance,
 )
-from qbxstokes.flows.combination import SumFlow, TransformedFlow, add_flows
 from qbxstokes.flows.named import (
     Extension,
     Linear,
@@ -22,6 +21,7 @@ from qbxstokes.flows.named import (
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
+from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths
 
 __all__ = [

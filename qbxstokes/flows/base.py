@@ -1,4 +1,4 @@
-"""What every background flow offers, and the validation shared by their constructors.
+"""What every background flow offers, and the sums of flows.
 
 A background flow is a solution of the steady Stokes equations (mu = 1): div u = 0 and
 grad p = Lap u. Points have their three coordinates on the last axis and any leading shape; the
@@ -7,22 +7,23 @@ gradient is A[..., i, j] = du_i/dx_j. Everything is nondimensional (length c, ti
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.differences import gradient_of
+from qbxstokes.flows.values import Array, check_keys
 
 if TYPE_CHECKING:
     from qbxstokes.flows.polynomial import PolynomialFlow
 
-Array = NDArray[np.float64]
-Key = tuple[str | int, ...]
+# What makes a flow from its specification: `qbxstokes.flows.build_flow`.
+Build = Callable[[Mapping[str, Any]], "Flow"]
 
 
 class Flow(ABC):
@@ -65,8 +66,6 @@ class Flow(ABC):
         By extrapolated central differences of `laplacian`, with steps up to a fifth of `reach`
         (the flow's own length if not given); a subclass overrides it where it knows better.
         """
-        from qbxstokes.flows.differences import gradient_of
-
         points = np.asarray(x, dtype=float)
         steps = self.difference_step(points, reach)
         return curl(gradient_of(lambda y: self.laplacian(y, t), points, steps))
@@ -115,10 +114,11 @@ class Flow(ABC):
         return {name: parameter.default for name, parameter in parameters.items()}
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
         """Flow from its specification without the keys `type`, `position` and `rotation`.
 
-        Raises FlowError for a key that the flow does not know or that is missing.
+        build: makes flows from the specifications that this one holds. Raises FlowError for a key
+        that the flow does not know or that is missing.
         """
         known = cls.keys()
         check_keys(spec, list(known), cls.type_name)
@@ -144,8 +144,6 @@ class Flow(ABC):
         """The flow times a number."""
 
     def __add__(self, other: Flow) -> Flow:
-        from qbxstokes.flows.combination import add_flows
-
         return add_flows([self, other])
 
     def __mul__(self, factor: float) -> Flow:
@@ -175,73 +173,115 @@ def curl(gradient: Array) -> Array:
     )
 
 
-def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> None:
-    """Raise FlowError naming the nearest known key if `spec` holds an unknown one."""
-    for key in spec:
-        if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
-            raise FlowError(f"flow {type_name!r} has no key {key!r}; {hint}", (str(key),))
+def add_flows(flows: Iterable[Flow]) -> Flow:
+    """Sum of flows: one PolynomialFlow if all are polynomial, else a SumFlow in which they are.
 
-
-def number(value: object, name: str, *, positive: bool = False, key: Key | None = None) -> float:
-    """A finite (positive) float from the case, or FlowError at `key` (the name if not given)."""
-    right = "a positive finite number" if positive else "a finite number"
-    at = (name,) if key is None else key
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.number):
-        raise FlowError(f"{name} must be {right}, not {value!r}", at)
-    result = float(value)
-    if not np.isfinite(result) or (positive and result <= 0.0):
-        raise FlowError(f"{name} must be {right}, not {value!r}", at)
-    return result
-
-
-def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None) -> Array:
-    """A finite float array of the given shape, or FlowError at `key` (the name if not given)."""
-    right = f"must hold {' x '.join(map(str, shape))} finite numbers"
-    at = (name,) if key is None else key
-    try:
-        result = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise FlowError(f"{name} {right}, not {value!r}", at) from None
-    if result.shape != shape:
-        raise FlowError(f"{name} {right}, got shape {result.shape}", at)
-    if not np.all(np.isfinite(result)):
-        raise FlowError(f"{name} {right}, not {value!r}", at)
-    return result
-
-
-def rotation_matrix(value: Any, name: str = "rotation") -> Array:
-    """Rotation matrix (3, 3) from a quaternion, an axis and angle, or a matrix, or FlowError.
-
-    A quaternion (q0, q1, q2, q3) has its scalar first and is normalised; {axis, angle} is in
-    radians; a matrix must be orthogonal with determinant +1.
+    Raises FlowError for no flow at all.
     """
-    right = (
-        f"{name} must be a quaternion of four numbers, {{axis: [..], angle: ..}} with the "
-        "angle in radians, or an orthogonal 3 x 3 matrix of determinant +1"
-    )
-    if isinstance(value, Mapping):
-        if set(value) != {"axis", "angle"}:
-            raise FlowError(f"{right}; got keys {sorted(map(str, value))}", (name,))
-        axis = tensor(value["axis"], f"{name} axis", (3,), (name, "axis"))
-        length = float(np.linalg.norm(axis))
-        if length == 0.0:
-            raise FlowError(f"{name} axis must not be zero", (name, "axis"))
-        half = 0.5 * number(value["angle"], f"{name} angle", key=(name, "angle"))
-        value = np.concatenate([[np.cos(half)], np.sin(half) * axis / length])
-    if np.shape(value) == (4,):
-        quaternion = tensor(value, name, (4,))
-        length = float(np.linalg.norm(quaternion))
-        if length == 0.0:
-            raise FlowError(f"{right}; a zero quaternion is no rotation", (name,))
-        scalar, a, b, c = quaternion / length
-        cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
-        turned: Array = np.eye(3) + 2.0 * (scalar * cross + cross @ cross)
-        return turned
-    if np.shape(value) != (3, 3):
-        raise FlowError(f"{right}; got shape {np.shape(value)}", (name,))
-    matrix = tensor(value, name, (3, 3))
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-10 or np.linalg.det(matrix) < 0.0:
-        raise FlowError(right, (name,))
-    return matrix
+    polynomial: PolynomialFlow | None = None
+    others: list[Flow] = []
+    pending = list(flows)
+    if not pending:
+        raise FlowError("flow 'sum' needs at least one term")
+    while pending:
+        flow = pending.pop(0)
+        part = flow.polynomial
+        if part is not None:
+            polynomial = part if polynomial is None else polynomial.plus(part)
+        elif isinstance(flow, SumFlow):
+            pending = [*flow.terms, *pending]
+        else:
+            others.append(flow)
+    if polynomial is not None:
+        if not others:
+            return polynomial
+        others.insert(0, polynomial)
+    return others[0] if len(others) == 1 else SumFlow(others)
+
+
+class SumFlow(Flow):
+    """Sum of flows of which at most one is polynomial; made by `add_flows`."""
+
+    type_name = "sum"
+
+    def __init__(self, terms: Sequence[Flow]) -> None:
+        self.terms = tuple(terms)
+        self.length = min(flow.length for flow in self.terms)
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """Sum of {"terms": [spec, ...]}; raises FlowError that names the term."""
+        check_keys(spec, ["terms"], cls.type_name)
+        terms = spec.get("terms")
+        if not isinstance(terms, Sequence) or isinstance(terms, str) or not terms:
+            raise FlowError(f"flow 'sum' needs 'terms', a list of flows, not {terms!r}", ("terms",))
+        built = []
+        for index, term in enumerate(terms):
+            try:
+                built.append(build(term))
+            except FlowError as error:
+                key = ("terms", index, *error.key)
+                raise FlowError(f"term {index + 1} of the sum: {error}", key) from None
+        flow = add_flows(built)
+        whole = flow.polynomial
+        return flow if whole is None else whole.named({"type": cls.type_name, "terms": list(terms)})
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        return self._total([flow.velocity(x, t) for flow in self.terms])
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3)."""
+        return self._total([flow.gradient(x, t) for flow in self.terms])
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Laplacian (..., 3)."""
+        return self._total([flow.laplacian(x, t) for flow in self.terms])
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Pressure (...)."""
+        return self._total([flow.pressure(x, t) for flow in self.terms])
+
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
+        """Curl of the Laplacian (..., 3)."""
+        return self._total([flow.vorticity_of_laplacian(x, t, reach) for flow in self.terms])
+
+    @staticmethod
+    def _total(parts: list[Array]) -> Array:
+        total = parts[0]
+        for part in parts[1:]:
+            total = total + part
+        return total
+
+    @property
+    def steady(self) -> bool:
+        """Whether all terms are."""
+        return all(flow.steady for flow in self.terms)
+
+    @property
+    def singular_points(self) -> Array:
+        """Singular points of all terms (n, 3)."""
+        return np.concatenate([flow.singular_points for flow in self.terms])
+
+    @property
+    def singular_points_known(self) -> bool:
+        """Whether all terms' are."""
+        return all(flow.singular_points_known for flow in self.terms)
+
+    def spec(self) -> dict[str, Any]:
+        """Specification with one term for each flow of the sum."""
+        return {"type": self.type_name, "terms": [flow.spec() for flow in self.terms]}
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The sum of the moved terms."""
+        return add_flows(flow.shifted(displacement) for flow in self.terms)
+
+    def rotated(self, rotation: ArrayLike) -> Flow:
+        """The sum of the turned terms."""
+        return add_flows(flow.rotated(rotation) for flow in self.terms)
+
+    def scaled(self, factor: float) -> Flow:
+        """The sum of the scaled terms."""
+        return add_flows(flow.scaled(factor) for flow in self.terms)

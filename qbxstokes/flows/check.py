@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Array, Flow
+from qbxstokes.flows.base import Flow
+from qbxstokes.flows.values import Array
 
 # Least velocity gradient that residuals are compared with, in |u|/radius: the derivatives of a
 # user's function are differences and carry the rounding of the velocity.

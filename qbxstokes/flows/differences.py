@@ -13,11 +13,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from qbxstokes.flows.base import Array
+from qbxstokes.flows.values import Array
 
 LEVELS = 8
 
-Field = Callable[[Array], Array]
+VectorField = Callable[[Array], Array]
 
 
 def extrapolate(estimate: Callable[[Array], Array], step: Array) -> Array:
@@ -50,7 +50,7 @@ def extrapolate(estimate: Callable[[Array], Array], step: Array) -> Array:
     return best
 
 
-def gradient_of(field: Field, x: Array, step: Array) -> Array:
+def gradient_of(field: VectorField, x: Array, step: Array) -> Array:
     """Gradient (..., i, j) = df_i/dx_j of a vector field f: (..., 3) -> (..., 3)."""
 
     def estimate(h: Array) -> Array:
@@ -62,19 +62,19 @@ def gradient_of(field: Field, x: Array, step: Array) -> Array:
     return extrapolate(estimate, step)
 
 
-def _laplacian_estimate(field: Field, x: Array, h: Array) -> Array:
+def _laplacian_estimate(field: VectorField, x: Array, h: Array) -> Array:
     offsets = h[..., None, None] * np.concatenate([np.eye(3), -np.eye(3)])
     around = field(x[..., None, :] + offsets).sum(axis=-2)
     result: Array = (around - 6.0 * field(x)) / h[..., None] ** 2
     return result
 
 
-def laplacian_of(field: Field, x: Array, step: Array) -> Array:
+def laplacian_of(field: VectorField, x: Array, step: Array) -> Array:
     """Laplacian (..., 3) of a vector field."""
     return extrapolate(lambda h: _laplacian_estimate(field, x, h), step)
 
 
-def laplacian_gradient_of(field: Field, x: Array, step: Array) -> Array:
+def laplacian_gradient_of(field: VectorField, x: Array, step: Array) -> Array:
     """Gradient (..., i, j) of the Laplacian of a vector field (third derivatives)."""
 
     def estimate(h: Array) -> Array:

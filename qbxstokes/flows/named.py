@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Array, number, tensor
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.values import Array, number, tensor
 
 _EXTENSIONS = {
     "uniaxial": (1.0, -0.5, -0.5),

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Array, Flow, check_keys, curl, number, tensor
+from qbxstokes.flows.base import Build, Flow, curl
+from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 Exponents = tuple[int, int, int]
 
@@ -85,7 +86,7 @@ class PolynomialFlow(Flow):
         return keys
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any]) -> Flow:
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
         """Polynomial flow from `coefficients` per monomial or from its Taylor tensors.
 
         {"coefficients": {"u1": {"x2^2": 1.0, "x3^2": 1.0}}} or any of {"value", "gradient",
@@ -94,7 +95,7 @@ class PolynomialFlow(Flow):
         Raises FlowError if the result is not a Stokes flow.
         """
         if cls is not PolynomialFlow:
-            return super().from_spec(spec)
+            return super().from_spec(spec, build)
         check_keys(spec, list(cls.keys()), cls.type_name)
         if "coefficients" in spec:
             if len(spec) > 1:

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Flow, rotation_matrix, tensor
-from qbxstokes.flows.combination import SumFlow, TransformedFlow
+from qbxstokes.flows.base import Flow, SumFlow
 from qbxstokes.flows.named import (
     Extension,
     Linear,
@@ -22,7 +21,9 @@ from qbxstokes.flows.named import (
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
+from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths
+from qbxstokes.flows.values import rotation_matrix, tensor
 
 REGISTRY: dict[str, type[Flow]] = {
     "uniform": Uniform,
@@ -61,7 +62,7 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
         raise FlowError(f"{what}; {hint}", () if name is None else ("type",))
     position = rest.pop("position", None)
     rotation = rest.pop("rotation", None)
-    flow = REGISTRY[name].from_spec(rest)
+    flow = REGISTRY[name].from_spec(rest, build_flow)
     if position is None and rotation is None:
         return flow
     if rotation is not None:

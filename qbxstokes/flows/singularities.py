@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Array, Flow, number, tensor
+from qbxstokes.flows.base import Flow
+from qbxstokes.flows.values import Array, number, tensor
 
 _FOUR_PI = 4.0 * np.pi
 _EIGHT_PI = 8.0 * np.pi

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, FlowFunctionError
-from qbxstokes.flows.base import Array, Flow, curl, number, tensor
-from qbxstokes.flows.combination import TransformedFlow
+from qbxstokes.flows.base import Flow, curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
+from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.values import Array, number, tensor
 
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
 # smooth on the straight way from the origin.

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, OutputError
-from qbxstokes.io.results import numbered, parts_of
+from qbxstokes.io.names import numbered, parts_of
 
 Array = NDArray[np.float64]
 

@@ -30,14 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import QbxStokesError, ResultFileError
+from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
+from qbxstokes.io.names import parts_of as parts_of
 from qbxstokes.io.places import place, placed_dataset, reserve, write_at
-from qbxstokes.io.results import (
-    CONVENTIONS,
-    FORMAT,
-    FORMAT_VERSION,
-    write_tree,
-)
-from qbxstokes.io.results import parts_of as parts_of
 from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:

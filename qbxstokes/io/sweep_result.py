@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.io.results import Result, read_tree
+from qbxstokes.io.format import read_tree
+from qbxstokes.io.result import Result
 
 if TYPE_CHECKING:
     import h5py

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 from qbxstokes.case.document import document_of, parse, plain, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.io.results import Result, free_name, load
+from qbxstokes.io.names import free_name
+from qbxstokes.io.result import Result
+from qbxstokes.io.results import load
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.command import compute_case
 

@@ -14,7 +14,7 @@ from qbxstokes.bie.field import Disturbance
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
-from qbxstokes.io.results import ResultWriter
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import chosen_instants, targets_of

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.field import INSIDE, SOURCES
 from qbxstokes.errors import ConvergenceError, OutputError, QbxStokesError
 from qbxstokes.io import field as store
-from qbxstokes.io.results import ResultWriter
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs import handout
 from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import Targets, surface_angles

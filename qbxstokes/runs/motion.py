@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, Interrupted
-from qbxstokes.io.results import ResultWriter
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.clock import Clock

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfinished
-from qbxstokes.io.results import ResultWriter, numbered
+from qbxstokes.io.names import numbered
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, TIME, of_event

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
-from qbxstokes.io.results import Result
+from qbxstokes.io.result import Result
 
 if TYPE_CHECKING:
     import argparse

@@ -28,7 +28,7 @@ from qbxstokes.case.sweep import column_name
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache
-from qbxstokes.io.results import check_writable, numbered
+from qbxstokes.io.names import check_writable, numbered
 from qbxstokes.quantities import COLUMNS, MOTION, PARAMETER, STATUS, Quantity
 from qbxstokes.runs import block, handout
 from qbxstokes.runs.clock import Clock

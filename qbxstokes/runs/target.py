@@ -6,7 +6,7 @@ from pathlib import Path
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.results import check_writable, free_name
+from qbxstokes.io.names import check_writable, free_name
 
 
 def result_path(loaded: LoadedCase) -> Path:

@@ -26,9 +26,9 @@ from qbxstokes.app.tabulate import (
 )
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
-from qbxstokes.io.results import ResultWriter
 from qbxstokes.io.sweep import parts_of
 from qbxstokes.io.tables import Table
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs import handout
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.handout import HandOut

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qbxstokes.case.base import expression, to_angle
-from qbxstokes.case.describe import SCHEMA_FILE, json_schema, keys, markdown_table, starter
+from qbxstokes.case.describe import SCHEMA_FILE, json_schema, markdown_table, starter
 from qbxstokes.case.document import MAX_BYTES, parse
 from qbxstokes.case.load import load_case, validate
-from qbxstokes.case.schema import Case
+from qbxstokes.case.schema import Case, keys
 from qbxstokes.errors import CaseError
 
 WriteCase = Callable[..., Path]

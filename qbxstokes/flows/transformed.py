@@ -1,0 +1,126 @@
+"""Any flow moved, turned and scaled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.values import Array, check_keys, number, tensor
+
+
+class TransformedFlow(Flow):
+    """u'(x) = factor R u(R^T (x - position)) of any flow u, for those with no closed form of it."""
+
+    type_name = "transformed"
+
+    def __init__(
+        self,
+        flow: Flow,
+        rotation: ArrayLike | None = None,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        factor: float = 1.0,
+    ) -> None:
+        self.flow = flow
+        self.rotation: Array = (
+            np.eye(3) if rotation is None else tensor(rotation, "rotation", (3, 3))
+        )
+        self.position = tensor(position, "position", (3,))
+        self.factor = number(factor, "factor")
+        self.length = flow.length
+
+    @classmethod
+    def keys(cls) -> dict[str, Any]:
+        """`flow` and `factor`; position and rotation are keys that every flow has."""
+        known = super().keys()
+        return {name: known[name] for name in ("flow", "factor")}
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """Flow {"flow": spec, "factor": number}, moved and turned by the keys every flow has."""
+        check_keys(spec, list(cls.keys()), cls.type_name)
+        if "flow" not in spec:
+            raise FlowError("flow 'transformed' needs 'flow', the flow to scale, move or turn")
+        try:
+            flow = build(spec["flow"])
+        except FlowError as error:
+            raise FlowError(str(error), ("flow", *error.key)) from None
+        return flow.scaled(number(spec.get("factor", 1.0), "factor"))
+
+    def _inner(self, x: ArrayLike) -> Array:
+        result: Array = (np.asarray(x, dtype=float) - self.position) @ self.rotation
+        return result
+
+    def _turn_gradient(self, gradient: Array) -> Array:
+        result: Array = self.factor * (self.rotation @ gradient @ self.rotation.T)
+        return result
+
+    def _turn_vector(self, vector: Array) -> Array:
+        result: Array = self.factor * (vector @ self.rotation.T)
+        return result
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        return self._turn_vector(self.flow.velocity(self._inner(x), t))
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3)."""
+        return self._turn_gradient(self.flow.gradient(self._inner(x), t))
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Laplacian (..., 3)."""
+        return self._turn_vector(self.flow.laplacian(self._inner(x), t))
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Pressure (...)."""
+        return self.factor * self.flow.pressure(self._inner(x), t)
+
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
+        """Curl of the Laplacian (..., 3)."""
+        return self._turn_vector(self.flow.vorticity_of_laplacian(self._inner(x), t, reach))
+
+    @property
+    def steady(self) -> bool:
+        """Whether the flow is."""
+        return self.flow.steady
+
+    @property
+    def singular_points(self) -> Array:
+        """Singular points (n, 3), moved with the flow."""
+        result: Array = self.flow.singular_points @ self.rotation.T + self.position
+        return result
+
+    @property
+    def singular_points_known(self) -> bool:
+        """Whether the flow's are."""
+        return self.flow.singular_points_known
+
+    def spec(self) -> dict[str, Any]:
+        """Specification that moves, turns and scales that of the flow."""
+        return {
+            "type": self.type_name,
+            "flow": self.flow.spec(),
+            "factor": self.factor,
+            "rotation": self.rotation.tolist(),
+            "position": self.position.tolist(),
+        }
+
+    def shifted(self, displacement: ArrayLike) -> TransformedFlow:
+        """The flow moved further."""
+        position = self.position + tensor(displacement, "position", (3,))
+        return TransformedFlow(self.flow, self.rotation, position, self.factor)
+
+    def rotated(self, rotation: ArrayLike) -> TransformedFlow:
+        """The flow turned further about the space origin."""
+        turn = tensor(rotation, "rotation", (3, 3))
+        return TransformedFlow(self.flow, turn @ self.rotation, turn @ self.position, self.factor)
+
+    def scaled(self, factor: float) -> TransformedFlow:
+        """The flow times a further number."""
+        return TransformedFlow(self.flow, self.rotation, self.position, self.factor * factor)

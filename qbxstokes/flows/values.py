@@ -1,0 +1,87 @@
+"""Numbers, tensors, rotations and keys of a flow's specification, checked as they are read."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import FlowError
+
+Array = NDArray[np.float64]
+Key = tuple[str | int, ...]
+
+
+def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> None:
+    """Raise FlowError naming the nearest known key if `spec` holds an unknown one."""
+    for key in spec:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+            raise FlowError(f"flow {type_name!r} has no key {key!r}; {hint}", (str(key),))
+
+
+def number(value: object, name: str, *, positive: bool = False, key: Key | None = None) -> float:
+    """A finite (positive) float from the case, or FlowError at `key` (the name if not given)."""
+    right = "a positive finite number" if positive else "a finite number"
+    at = (name,) if key is None else key
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.number):
+        raise FlowError(f"{name} must be {right}, not {value!r}", at)
+    result = float(value)
+    if not np.isfinite(result) or (positive and result <= 0.0):
+        raise FlowError(f"{name} must be {right}, not {value!r}", at)
+    return result
+
+
+def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None) -> Array:
+    """A finite float array of the given shape, or FlowError at `key` (the name if not given)."""
+    right = f"must hold {' x '.join(map(str, shape))} finite numbers"
+    at = (name,) if key is None else key
+    try:
+        result = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise FlowError(f"{name} {right}, not {value!r}", at) from None
+    if result.shape != shape:
+        raise FlowError(f"{name} {right}, got shape {result.shape}", at)
+    if not np.all(np.isfinite(result)):
+        raise FlowError(f"{name} {right}, not {value!r}", at)
+    return result
+
+
+def rotation_matrix(value: Any, name: str = "rotation") -> Array:
+    """Rotation matrix (3, 3) from a quaternion, an axis and angle, or a matrix, or FlowError.
+
+    A quaternion (q0, q1, q2, q3) has its scalar first and is normalised; {axis, angle} is in
+    radians; a matrix must be orthogonal with determinant +1.
+    """
+    right = (
+        f"{name} must be a quaternion of four numbers, {{axis: [..], angle: ..}} with the "
+        "angle in radians, or an orthogonal 3 x 3 matrix of determinant +1"
+    )
+    if isinstance(value, Mapping):
+        if set(value) != {"axis", "angle"}:
+            raise FlowError(f"{right}; got keys {sorted(map(str, value))}", (name,))
+        axis = tensor(value["axis"], f"{name} axis", (3,), (name, "axis"))
+        length = float(np.linalg.norm(axis))
+        if length == 0.0:
+            raise FlowError(f"{name} axis must not be zero", (name, "axis"))
+        half = 0.5 * number(value["angle"], f"{name} angle", key=(name, "angle"))
+        value = np.concatenate([[np.cos(half)], np.sin(half) * axis / length])
+    if np.shape(value) == (4,):
+        quaternion = tensor(value, name, (4,))
+        length = float(np.linalg.norm(quaternion))
+        if length == 0.0:
+            raise FlowError(f"{right}; a zero quaternion is no rotation", (name,))
+        scalar, a, b, c = quaternion / length
+        cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+        turned: Array = np.eye(3) + 2.0 * (scalar * cross + cross @ cross)
+        return turned
+    if np.shape(value) != (3, 3):
+        raise FlowError(f"{right}; got shape {np.shape(value)}", (name,))
+    matrix = tensor(value, name, (3, 3))
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-10 or np.linalg.det(matrix) < 0.0:
+        raise FlowError(right, (name,))
+    return matrix

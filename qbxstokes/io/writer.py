@@ -1,0 +1,221 @@
+"""Result files in the making: written atomically, sample after sample.
+
+A file is written under a temporary name beside its target and moved there when it is complete:
+a file that carries the final name is a whole one.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.errors import CaseError, OutputError
+from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
+from qbxstokes.io.names import check_writable, numbered, temporary_name
+from qbxstokes.io.places import describe, reserve
+from qbxstokes.quantities import MOTION, TIME, Quantity
+
+if TYPE_CHECKING:
+    import h5py
+
+
+class _PatientFile(io.FileIO):
+    """A file that keeps the first failure of the system to itself until it is asked for.
+
+    HDF5 brings the process down when a write fails under it (a full disk); with this file it goes
+    on writing into nothing, and the writer looks at `failure` after each piece.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`, or note why that failed."""
+        view = memoryview(data).cast("B")
+        done = 0
+        try:
+            while self.failure is None and done < len(view):
+                done += super().write(view[done:])
+        except OSError as error:
+            self.failure = error
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill all of `buffer`, with zeros where there is nothing to read."""
+        view = memoryview(buffer).cast("B")
+        count = super().readinto(view) or 0
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length of the file, or note why that failed."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
+
+
+class ResultWriter:
+    """A result file in the making; `finish` gives it its name, leaving without it removes it.
+
+    >>> with ResultWriter(Path("result.h5"), "motion") as writer:  # doctest: +SKIP
+    ...     writer.append({"time": times, "position": positions})
+    ...     writer.finish({"steps": 120})
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        task: str,
+        provenance: Mapping[str, Any] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        """Create the temporary file beside `path`; raises CaseError where that is impossible."""
+        import h5py
+
+        check_writable(path, overwrite)
+        self.path = path
+        self.overwrite = overwrite
+        self.temporary = temporary_name(path)
+        try:
+            self.stream = _PatientFile(self.temporary, "w+")
+        except OSError as error:
+            raise CaseError(f"{path}: cannot be created ({error.strerror})") from None
+        self.file: h5py.File = h5py.File(self.stream, "w", libver=("v108", "v110"))
+        self.file.attrs.update(
+            format=FORMAT, format_version=FORMAT_VERSION, task=task, conventions=CONVENTIONS
+        )
+        write_tree(self.file.create_group("provenance"), provenance or {})
+
+    def append(
+        self,
+        samples: Mapping[str, ArrayLike],
+        about: Mapping[str, Quantity] = MOTION,
+    ) -> None:
+        """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
+
+        Raises OutputError if they cannot be stored.
+        """
+        with self._writing():
+            times = np.asarray(samples["time"], dtype=float)
+            scale = self._extended("time", times, TIME)
+            if "CLASS" not in scale.attrs:
+                scale.make_scale("time")
+            for name, values in samples.items():
+                if name != "time":
+                    data = self._extended(name, np.asarray(values, dtype=float), about[name])
+                    if not len(data.dims[0]):
+                        data.dims[0].attach_scale(scale)
+
+    def append_events(
+        self, name: str, rows: Mapping[str, ArrayLike], about: Mapping[str, Quantity]
+    ) -> None:
+        """Append rows to the group `events/NAME`: `time` (n,) and quantities (n, ...)."""
+        with self._writing():
+            for key, values in rows.items():
+                self._extended(f"events/{name}/{key}", np.asarray(values, float), about[key])
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn what HDF5 and the system report into one OutputError."""
+        try:
+            yield
+            if self.file:
+                self.file.flush()
+            failure = self.stream.failure
+        except OSError as error:
+            failure = self.stream.failure or error
+        if failure is not None:
+            reason = failure.strerror or str(failure)
+            raise OutputError(f"{self.path}: cannot be written ({reason})") from None
+
+    def _extended(self, name: str, values: NDArray[np.float64], about: Quantity) -> h5py.Dataset:
+        """The dataset `name` with `values` after what it held."""
+        if values.shape[1:] != about.shape:
+            raise ValueError(f"{name}: samples of shape {values.shape[1:]}, not {about.shape}")
+        if name not in self.file:
+            chunk = max(1, min(len(values), 65_536 // (8 * max(1, int(np.prod(about.shape))))))
+            data = self.file.create_dataset(
+                name,
+                data=values,
+                maxshape=(None, *about.shape),
+                chunks=(chunk, *about.shape),
+                fletcher32=True,  # damage is noticed when reading
+                track_times=False,
+            )
+            describe(data, about)
+            return data
+        data = self.file[name]
+        held = len(data)
+        data.resize(held + len(values), axis=0)
+        data[held:] = values
+        return data
+
+    def claim(self) -> None:
+        """Claim the room of all that has been laid out so far; raises OutputError."""
+        with self._writing():
+            self.file.flush()
+            reserve(self.temporary)
+
+    def sync(self) -> None:
+        """Bring what was appended to the disk; raises OutputError."""
+        with self._writing():
+            os.fsync(self.stream.fileno())
+
+    def finish(self, summary: Mapping[str, Any] | None = None) -> Path:
+        """Write the summary, close, and give the file its name; returns the name it got.
+
+        An existing file is replaced only when `overwrite` was asked for; otherwise the next free
+        numbered name is taken, without a gap in which another process could lose its file.
+        Raises OutputError; then nothing is left behind.
+        """
+        with self._writing():
+            write_tree(self.file.require_group("summary"), summary or {})
+        with self._writing():
+            self.file.close()
+            os.fsync(self.stream.fileno())
+            self.stream.close()
+        return self._rename()
+
+    def _rename(self) -> Path:
+        """Move the complete file to its name."""
+        if self.overwrite:
+            os.replace(self.temporary, self.path)
+            return self.path
+        for name in numbered(self.path):
+            try:
+                os.link(self.temporary, name)
+            except FileExistsError:
+                continue
+            except OSError:  # a file system without hard links
+                if os.path.lexists(name):
+                    continue
+                os.replace(self.temporary, name)
+                return name
+            self.temporary.unlink()
+            return name
+        raise OutputError(f"{self.path}: every numbered name is taken; use --overwrite")
+
+    def __enter__(self) -> ResultWriter:
+        """The writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Remove the temporary file unless `finish` moved it."""
+        if self.file:
+            self.file.close()
+        self.stream.close()
+        self.temporary.unlink(missing_ok=True)
