@@ -40,6 +40,7 @@ ENVIRONMENT = THREADS | {
 }
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+See = Callable[..., None]
 
 
 def random_flow(degree: int, rng: np.random.Generator) -> PolynomialFlow:
@@ -184,6 +185,36 @@ def mpirun(tmp_path: Path) -> Run:
         return _run(command, tmp_path, timeout)
 
     return run
+
+
+@pytest.fixture
+def see(record_property: Callable[[str, object], None]) -> Iterator[See]:
+    """`see(value, bound, "k = 2")`: asserts value <= bound; the worst is told when all has run."""
+    worst, told = -1.0, ""
+
+    def check(value: float, bound: float, where: str = "") -> None:
+        nonlocal worst, told
+        text = f"{value:.1e}, bound {bound:.0e}: {where}"
+        assert value <= bound, text  # not a number is beyond every bound
+        if value / bound > worst:
+            worst, told = value / bound, text
+
+    yield check
+    record_property("worst", told)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What came nearest to its bound in every test that saw some."""
+    reports = [r for r in terminalreporter.stats.get("", []) if r.when == "teardown"]
+    lines = [
+        f"{report.nodeid.split('::')[1]:28}{text}"
+        for report in reports
+        for name, text in report.user_properties
+        if name == "worst"
+    ]
+    if lines:
+        terminalreporter.section("worst values")
+        terminalreporter.write_line("\n".join(lines))
 
 
 @pytest.fixture

@@ -6,21 +6,28 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body
-from qbxstokes.bie.functional import (
-    stokes_polynomials,
-)
-from qbxstokes.flows import PolynomialFlow, build_flow
+from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.operators import surface_operators
+from qbxstokes.bie.providers import SolveMotion
+from qbxstokes.flows import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 
 Array = NDArray[np.float64]
+
+# Rounding of sums whose terms have the size of the scene's scale.
+ROUNDING = 1e-14
+# Two ways to the same motion from the same operator.
+AGREEMENT = 1e-12
+# Trajectories take other steps in another frame.
+TOLERANCE = 1e-10
+MOTION = 20.0 * TOLERANCE
 
 
 @lru_cache(maxsize=64)
@@ -171,10 +178,59 @@ SYMMETRIES = {
     "body turned over": reversed_axis,
     "displacement": displaced,
 }
+# The sign of a flow turns an inertial motion into another one.
+CARRIED = [name for name in SYMMETRIES if name != "sign"]
 
 
-def polynomial(kind: str, **keys: Any) -> PolynomialFlow:
-    """A named polynomial flow."""
-    flow = build_flow({"type": kind, **keys})
-    assert isinstance(flow, PolynomialFlow)
-    return flow
+def symmetry_error(scene: Scene, name: str, rng: np.random.Generator) -> float:
+    """Largest difference between the motion carried along and that of the scene carried along."""
+    other, carried = SYMMETRIES[name](scene, rng)
+    difference = np.abs(other.motion() - carried(scene.motion())).max(axis=1)
+    return float(np.max(difference / scene.motion_scale))
+
+
+def trajectory_error(
+    scene: Scene, name: str, stokes_number: float, rng: np.random.Generator
+) -> float:
+    """Difference of position and axis after a motion, relative to the way and to 1."""
+    from qbxstokes.petsc.stepper import integrate
+
+    other, carried = SYMMETRIES[name](scene, rng)
+    times = np.array([0.0, 1.5, 3.0]) / max(1.0, scene.scale)
+    runs = [integrate(*one.state(stokes_number), times, TOLERANCE) for one in (scene, other)]
+    (x, d), (y, e) = (
+        (run.states[:, 0, :3] - run.states[0, 0, :3], rotation.axis(run.states[:, 0, 3:7]))
+        for run in runs
+    )
+    # Position and axis follow as velocity and force do; a body has no sign of its axis.
+    moved = carried(np.stack([x[-1], 0.0 * x[-1], d[-1], 0.0 * x[-1]]))
+    turn = min(np.abs(e[-1] - moved[2]).max(), np.abs(e[-1] + moved[2]).max())
+    way = np.abs(y[-1] - moved[0]).max() / max(1.0, np.abs(x).max())
+    return float(max(turn, way))
+
+
+def time_reversal_error(scene: Scene) -> float:
+    """How far a massless body ends from its start when the flow is turned round halfway."""
+    from qbxstokes.petsc.stepper import integrate
+
+    times = np.array([0.0, 3.0 / max(1.0, scene.scale)])
+    there, start = scene.state(0.0)
+    end = integrate(there, start, times, TOLERANCE).states[-1]
+    back, _ = replace(scene, flow=scene.flow.scaled(-1.0)).state(0.0)
+    again = integrate(back, end, times, TOLERANCE).states[-1]
+    turn = rotation.axis(again[0, 3:7]) - rotation.axis(start[0, 3:7])
+    way = np.abs(end[0, :3] - start[0, :3]).max()
+    distance = np.abs(again[0, :3] - start[0, :3]).max() / max(1.0, way)
+    return float(max(np.abs(turn).max(), distance))
+
+
+def solve_error(scene: Scene) -> float:
+    """The table on monomials against a solve of the integral equation, free and forced."""
+    body = body_of(scene.aspect_ratio)
+    operators = surface_operators(Spheroid(scene.aspect_ratio), body.scheme, 10)
+    solve = SolveMotion(operators, scene.flow)
+    x, q = scene.position[None], scene.quaternion[None]
+    free = solve.free_motion(0.0, x, q)
+    forced = solve.force_torque(0.0, x, q, scene.velocity[None], scene.angular_velocity[None])
+    difference = np.abs(np.concatenate([*free, *forced]) - scene.motion()).max(axis=1)
+    return float(np.max(difference / scene.motion_scale))

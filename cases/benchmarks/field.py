@@ -1,0 +1,132 @@
+"""The field: error from the surface to ten body lengths; cost of a point over its distance.
+
+The exact flow is that of a translating body (Chwang & Wu 1975), as a resistance problem (velocity
+given) and as a mobility problem (pushed by the force that goes with it). Errors are over the speed.
+`plain` is plain quadrature with the upsampling of a grid of 8 by 16 that the tolerance takes there.
+
+    python cases/benchmarks/field.py [--small] [--csv]
+
+1 min. Expected: errors of a million points below every tolerance; a point costs the same at any
+distance by the table of harmonics, and near the surface plain upsampling cannot follow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+from measure import Rows, command
+from numpy.typing import NDArray
+
+from qbxstokes.bie.accuracy import choose_scheme
+from qbxstokes.bie.field import Disturbance, mobility_disturbance, resistance_disturbance
+from qbxstokes.bie.operators import surface_operators
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.qbx.volume import plain_rule
+from qbxstokes.reference import faxen
+from qbxstokes.reference.translation import translating_flow
+
+Array = NDArray[np.float64]
+
+VELOCITY = np.array([1.0, -2.0, 0.5])
+SPEED = float(np.linalg.norm(VELOCITY))
+NODES, MOST = 8, 32  # polar nodes; upsampling that is tried
+
+
+def translating(k: float, tolerance: float, problem: str) -> Disturbance:
+    """The flow around the body in fluid at rest."""
+    operators = surface_operators(Spheroid(k), choose_scheme(tolerance, NODES), 6)
+    if problem == "resistance":
+        return resistance_disturbance(operators, np.zeros_like, VELOCITY, np.zeros(3), degree=0)
+    across, along = faxen.resistance(k)[:2]
+    force = VELOCITY * [across, across, along]
+    return mobility_disturbance(operators, np.zeros_like, force, degree=0)
+
+
+def scattered(k: float, count: int) -> Array:
+    """Points (count, 3) outside: a tenth on the surface, the rest at 1e-12 to 10 body lengths."""
+    rng = np.random.default_rng(0)
+    theta, phi = np.arccos(rng.uniform(-1, 1, count)), rng.uniform(0, 2 * np.pi, count)
+    distance = 2.0 * max(1.0, k) * 10.0 ** rng.uniform(-12, 1, count)
+    distance[: count // 10] = 0.0
+    body = Spheroid(k)
+    return body.surface(theta, phi) + distance[:, None] * body.normal(theta, phi)
+
+
+def accuracy(ratios: tuple[float, ...], tolerances: tuple[float, ...], targets: int) -> Rows:
+    """Largest error over the points, and the time of set-up and all points."""
+    rows: Rows = []
+    for k, problem, tolerance in product(ratios, ("resistance", "mobility"), tolerances):
+        points = scattered(k, targets)
+        exact = translating_flow(k, points, VELOCITY)[0]
+        begin = time.perf_counter()
+        found = translating(k, tolerance, problem).evaluate(points, tolerance)[0]
+        seconds = time.perf_counter() - begin
+        row = {"k": k, "problem": problem, "tolerance": tolerance, "targets": targets}
+        error = float(np.abs(found - exact).max()) / SPEED
+        rows.append(row | {"error": error, "seconds": seconds})
+    return rows
+
+
+def microseconds(function: Callable[[Array], Any], points: Array) -> float:
+    """Time of one point, of as many of them as a tenth of a second allows."""
+    count = 1
+    while True:
+        begin = time.perf_counter()
+        function(points[:count])
+        seconds = time.perf_counter() - begin
+        if count >= len(points) or seconds > 0.1:
+            return 1e6 * seconds / count
+        count = min(4 * count, len(points))
+
+
+def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...]) -> Rows:
+    """Microseconds per point by the table, by the quadrature for its distance, and by plain."""
+    rows: Rows = []
+    rng, spheroid = np.random.default_rng(0), Spheroid(k)
+    theta, phi = np.arccos(rng.uniform(-1, 1, 512)), rng.uniform(0, 2 * np.pi, 512)
+    body = translating(k, 1e-12, "resistance")
+    table, potentials = body.table, body.potentials
+    for distance, tolerance in product(distances, tolerances):
+        points = spheroid.surface(theta, phi) + distance * spheroid.normal(theta, phi)
+        exact = translating_flow(k, points[:8], VELOCITY)[0]
+        limit = tolerance * body.scale
+        used = potentials.evaluate(points[:1], tolerance)[3]
+        row = {
+            "distance": distance,
+            "tolerance": tolerance,
+            "table": microseconds(lambda x, to=0.1 * limit: table.evaluate(x, True, to), points),
+            "quadrature": microseconds(lambda x, to=tolerance: potentials.evaluate(x, to), points),
+            "method": ("plain", "graded", "expansion")[int(used[0])],
+            "upsampling": None,
+            "plain": None,
+        }
+        upsampling = 1
+        while upsampling <= MOST:
+            rule = plain_rule(upsampling * NODES, 2 * upsampling * NODES)
+            if np.abs(potentials.by_rule(points[:8], rule) - exact).max() <= limit:
+                row["upsampling"] = upsampling
+                row["plain"] = microseconds(lambda x, by=rule: potentials.by_rule(x, by), points)
+                break
+            upsampling *= 2
+        rows.append(row)
+    return rows
+
+
+def main(small: bool = False) -> dict[str, Rows]:
+    """Both tables."""
+    ratios = (0.5,) if small else (1 / 20, 1 / 2, 2.0, 20.0)
+    tolerances = (1e-8,) if small else (1e-6, 1e-8, 1e-10)
+    distances = (1e-2, 3.0) if small else (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.3, 1.0, 3.0, 10.0)
+    accuracy(ratios[:1], tolerances[:1], 100)  # loads what is compiled
+    return {
+        "field_accuracy": accuracy(ratios, tolerances, 2000 if small else 1_000_000),
+        "field_costs": costs(0.5, distances, tolerances),
+    }
+
+
+if __name__ == "__main__":
+    command(main)

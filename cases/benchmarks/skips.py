@@ -1,0 +1,149 @@
+"""What the plan leaves out (`--explain`): change of the result, and the time that it saves.
+
+    python cases/benchmarks/skips.py [--small] [--csv]
+
+1 min. k = 1/2, hydrodynamics to 1e-10; processor times (ms) of this thread. Expected: no change
+beyond rounding; 1.1 times faster without modes above 1 and without the resistance, 2 by mirror
+symmetry, 4 to 5 without outer expansions, 2 to 3 at a step or a right-hand side.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from measure import Rows, command, timed
+
+from qbxstokes.bie.accuracy import accurate_body, choose_scheme, plain_body
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, faxen_coefficients
+from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
+from qbxstokes.bie.providers import GridMotion, SolveMotion
+from qbxstokes.flows.named import Paraboloid, Shear
+from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion import kernels
+from qbxstokes.motion.equations import RigidBodyEquations, pack_table
+from qbxstokes.petsc import session
+from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
+from qbxstokes.reference import jeffery
+
+Work = Callable[[], Any]
+# Bodies of a block; right-hand sides timed together, since one alone is too short.
+BLOCK, CALLS = 512, 1000
+Q = rotation.normalize(np.array([[0.8, 0.3, -0.4, 0.33]]))
+
+
+def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
+    """Those of the set-up: name, the work without the skip, the work with it."""
+    spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
+    both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
+    half = independent_rows(scheme.n_theta)
+
+    def whole(completion: Any) -> Any:
+        law = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
+        return np.concatenate([[law.linear], law.quadratic, law.cubic])
+
+    def law(n_phi: int, used: Scheme) -> Any:
+        functional = modal_functional(surface_operators(spheroid, used, n_phi))
+        coefficients, _ = faxen_coefficients(functional)
+        return np.concatenate([coefficients.quadratic, coefficients.cubic])
+
+    def rows(chosen: Any) -> Any:
+        return layer_rows(spheroid, scheme, 2, chosen)[0][: len(half)]
+
+    narrow = partial(law, 3, scheme)
+    yield "azimuthal modes above 1", partial(law, 8, scheme), narrow
+    yield "resistance where no force acts", partial(whole, "surface"), partial(whole, None)
+    yield "outer expansions", partial(law, 3, both), narrow
+    every = range(scheme.n_theta)
+    yield "rows that mirror symmetry gives", partial(rows, every), partial(rows, half)
+
+
+def many(rate: Callable[[float, Any], Any], start: Any) -> Work:
+    """Many right-hand sides of one body."""
+    rows = start[0].tolist()
+
+    def calls() -> Any:
+        for _ in range(CALLS):
+            result = rate(0.0, rows)
+        return np.array(result)
+
+    return calls
+
+
+def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
+    """Those of a step and of a right-hand side."""
+    scheme, x = choose_scheme(1e-10), np.zeros((1, 3))
+    operators = surface_operators(Spheroid(k), scheme, 8)
+    model = form_body_model(operators)
+    solve = SolveMotion(operators, Shear())
+    grid = GridMotion(modal_functional(operators).on_grid(8), Shear())
+    equations = RigidBodyEquations(model, Shear())
+    state = equations.initial_state(x[0], Q[0])
+    solve.free_motion(0.0, x, Q)
+
+    def motion(provider: Any) -> Any:
+        return np.concatenate(provider.free_motion(0.0, x, Q))
+
+    by_solve, by_grid = partial(motion, solve), partial(motion, grid)
+    yield "integral equation at a step", by_solve, by_grid
+    table = partial(equations.velocities, 0.0, state)
+    yield "flow on the surface at a step", by_grid, lambda: np.concatenate(table())
+    constants = (*kernels.tables(pack_table(Shear(), model).tolist()), None, None)
+    general = many(lambda t, rows: kernels.massless(*rows, *constants), state)
+    specialised = many(equations.rate_of_rows, state)
+    yield "terms that are zero at a right-hand side", general, specialised
+    ball = plain_body(Spheroid(1.0), scheme).model
+    laws = ball.faxen.quadratic, ball.faxen.cubic
+
+    def sphere(law: FaxenCoefficients) -> Work:
+        """Coefficients too small to count keep the axis in."""
+        equations = RigidBodyEquations(replace(ball, faxen=law), Paraboloid(0.5))
+        return many(equations.rate_of_rows, equations.initial_state((0.3, 2.0, 0.0), Q[0]))
+
+    kept = FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))
+    name = "axis of a sphere at a right-hand side"
+    yield name, sphere(kept), sphere(FaxenCoefficients(0.0, *laws))
+    for stokes_number in (0.0, 10.0):
+        moving, still = (partial(turned, model, stokes_number, u) for u in (1e-300, 0.0))
+        moving(), still()  # compile what a fresh machine has not
+        yield f"translation at a stagnation point, St = {stokes_number:g}", moving, still
+
+
+def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
+    """Orientations of a block after a period; a stream too slow to count lets the bodies move."""
+    from qbxstokes.petsc.stepper import integrate
+
+    moved = PolynomialFlow((stream, 0.0, 0.0), Shear().gradient_tensor)
+    block = RigidBodyEquations(model, moved, stokes_number, BLOCK, evaluation="compiled")
+    orientations = rotation.random_quaternions(BLOCK, np.random.default_rng(0))
+    start = block.initial_state(np.zeros(3), orientations)
+    return integrate(block, start, [jeffery.period(model.aspect_ratio)], 1e-8).states[-1, :, 3:7]
+
+
+def skips(k: float = 0.5) -> Iterator[tuple[str, Work, Work]]:
+    """Name of each skip, the work without it and with it; both give comparable arrays."""
+    session.start([])
+    yield from set_up_skips(k)
+    yield from step_skips(k)
+
+
+def main(small: bool = False) -> dict[str, Rows]:
+    """A row per skip."""
+    rows: Rows = []
+    for name, full, short in skips():
+        slow, before = timed(full, 1 if small else 7, time.thread_time)
+        fast, after = timed(short, 1 if small else 7, time.thread_time)
+        change = float(np.max(np.abs(before - after)) / np.max(np.abs(before)))
+        row = {"skip": name, "without": 1e3 * slow, "skipped": 1e3 * fast}
+        rows.append(row | {"saving": slow / fast, "change": change})
+    return {"skips": rows}
+
+
+if __name__ == "__main__":
+    command(main)

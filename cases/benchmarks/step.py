@@ -1,0 +1,207 @@
+"""Cost of a right-hand side by every way to it: solve, functional, table, closed form.
+
+    python cases/benchmarks/step.py [--small] [--csv]
+
+30 s. A body of k = 1/2 in shear. `step`: the right-hand side alone, massless. `integrated`: under
+8vr, PETSc's own work included, in turns. Expected: the same rates by every way; a table on
+monomials costs what the closed form costs (a microsecond in plain Python), a fortieth of a
+microsecond per body in a compiled block; a solve at every step a thousand times as much.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from statistics import median
+from typing import Any
+
+import numpy as np
+from measure import Rows, command, seconds_each, turns
+
+from qbxstokes.bie.accuracy import accurate_body
+from qbxstokes.bie.exact import exact_model
+from qbxstokes.bie.operators import surface_operators
+from qbxstokes.bie.providers import GridMotion, SolveMotion
+from qbxstokes.flows.named import Shear
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.petsc import session
+
+K = 0.5
+SHAPE = (1.0 - K * K) / (1.0 + K * K)
+BLOCK = 4096
+QUATERNION: list[float] = rotation.normalize([0.7, 0.3, -0.4, 0.5]).tolist()
+
+
+def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
+    """dy/dt of a massless spheroid in u = (x2, 0, 0), plain arithmetic on y = (x, q).
+
+    Omega = w/2 + lambda d x (E d) (Jeffery 1922), shape = lambda = (1 - k^2)/(1 + k^2).
+    """
+    _, x2, _, q0, q1, q2, q3 = y
+    s = 1.0 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    d1, d2 = 2.0 * s * (q1 * q3 + q0 * q2), 2.0 * s * (q2 * q3 - q0 * q1)
+    d3 = s * (q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
+    half = 0.5 * shape
+    a, b, c = -half * d3 * d1, half * d3 * d2, -0.5 + half * (d1 * d1 - d2 * d2)
+    return (
+        x2,
+        0.0,
+        0.0,
+        -0.5 * (a * q1 + b * q2 + c * q3),
+        0.5 * (a * q0 + b * q3 - c * q2),
+        0.5 * (b * q0 + c * q1 - a * q3),
+        0.5 * (c * q0 + a * q2 - b * q1),
+    )
+
+
+def closed_form_inertial(
+    y: list[float], shape: float, drag: tuple[float, ...], gyration: float
+) -> tuple[float, ...]:
+    """dy/dt of a spheroid with inertia in u = (x2, 0, 0), on y = (x, q, V, W).
+
+    Lamb's drag and Jeffery's torque, written as resistances times slip. drag: R/(St inertia) of
+    translation and rotation, each transverse and axial; gyration: (J3 - J1)/J1.
+    """
+    _, x2, _, q0, q1, q2, q3, v1, v2, v3, w1, w2, w3 = y
+    across, along, turning, spinning = drag
+    s = 1.0 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    a1, a2, a3 = q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3, q1 * q2 + q0 * q3, q1 * q3 - q0 * q2
+    b1, b2, b3 = q1 * q2 - q0 * q3, q0 * q0 - q1 * q1 + q2 * q2 - q3 * q3, q2 * q3 + q0 * q1
+    d1, d2 = 2.0 * s * (q1 * q3 + q0 * q2), 2.0 * s * (q2 * q3 - q0 * q1)
+    d3 = s * (q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
+    half = 0.5 * shape
+    o1, o2, o3 = -half * d3 * d1, half * d3 * d2, -0.5 + half * (d1 * d1 - d2 * d2)
+    e1 = x2 - v1
+    slip, spin = (along - across) * (e1 * d1 - v2 * d2 - v3 * d3), gyration * w3
+    return (
+        v1,
+        v2,
+        v3,
+        -0.5 * (q1 * w1 + q2 * w2 + q3 * w3),
+        0.5 * (q0 * w1 + q2 * w3 - q3 * w2),
+        0.5 * (q0 * w2 + q3 * w1 - q1 * w3),
+        0.5 * (q0 * w3 + q1 * w2 - q2 * w1),
+        across * e1 + slip * d1,
+        -across * v2 + slip * d2,
+        -across * v3 + slip * d3,
+        turning * (s * (a1 * o1 + 2.0 * (a2 * o2 + a3 * o3)) - w1) - spin * w2,
+        turning * (s * (b2 * o2 + 2.0 * (b1 * o1 + b3 * o3)) - w2) + spin * w1,
+        spinning * (d1 * o1 + d2 * o2 + d3 * o3 - w3),
+    )
+
+
+class Given(RigidBodyEquations):
+    """Equations of motion with their rates given."""
+
+    given: Callable[[list[float]], Any]
+
+    @property
+    def rate_of_rows(self) -> Callable[[float, Any], Any]:
+        """The given rates."""
+        given = self.given
+        return lambda t, rows: given(rows)
+
+
+def rates(equations: RigidBodyEquations, y: list[float], bodies: int = 1) -> Callable[[], Any]:
+    """The right-hand side of every body of a block in the state y."""
+    rate = equations.rate_function()
+    state = np.repeat(np.array(y)[:, None], bodies, axis=1)
+    out = np.empty_like(state)
+
+    def action() -> Any:
+        rate(0.0, state, out)
+        return out
+
+    return action
+
+
+def alone(repeats: int) -> Rows:
+    """Time per body and right-hand side, and the largest difference from the closed form."""
+    from qbxstokes.petsc.gmres import GmresSolver
+
+    body = accurate_body(Spheroid(K), 1e-12)
+    operators = surface_operators(Spheroid(K), body.scheme, 6)
+    y = [0.1, 0.2, 0.3, *QUATERNION]
+    solvers: list[GmresSolver] = []
+
+    def gmres(operator: Any, grid: Any) -> GmresSolver:
+        solvers.append(GmresSolver(operator, grid, 1e-12))
+        return solvers[-1]
+
+    def compiled(bodies: int) -> Callable[[], Any]:
+        model, way = body.model, {"evaluation": "compiled"}
+        return rates(RigidBodyEquations(model, Shear(), 0.0, bodies, **way), y, bodies)
+
+    plain = RigidBodyEquations(body.model, Shear()).rate_of_rows
+    grid = GridMotion(body.functional.on_grid(6), Shear())
+    solve = SolveMotion(operators, Shear(), gmres)
+    ways: dict[str, tuple[Callable[[], Any], int]] = {
+        "closed form": (lambda: closed_form(y, SHAPE), 1),
+        "table, plain Python": (lambda: plain(0.0, y), 1),
+        "table, compiled, one body": (compiled(1), 1),
+        f"table, compiled, {BLOCK} bodies": (compiled(BLOCK), BLOCK),
+        "functional on the grid": (rates(RigidBodyEquations(body.model, grid), y), 1),
+        "solve at every step": (rates(RigidBodyEquations(body.model, solve), y), 1),
+    }
+    rows: Rows = []
+    for name, (action, bodies) in ways.items():
+        rate = np.asarray(action(), dtype=float).reshape(7, -1)[:, 0]
+        span = 1e6 * seconds_each(action, repeats) / bodies
+        row = {"evaluation": name, "microseconds": span}
+        row["ratio"] = span / rows[0]["microseconds"] if rows else 1.0
+        row["difference"] = float(np.abs(rate - closed_form(y, SHAPE)).max())
+        row["iterations"] = solvers[-1].records[-1].iterations if "solve" in name else None
+        rows.append(row)
+    return rows
+
+
+def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
+    """Wall time of an integration per right-hand side."""
+    from qbxstokes.petsc.stepper import integrate
+
+    model = exact_model(K)
+    ways: dict[str, RigidBodyEquations] = {
+        "closed form": (closed := Given(model, Shear(), stokes_number, evaluation="plain")),
+        "table, plain Python": RigidBodyEquations(
+            model, Shear(), stokes_number, evaluation="plain"
+        ),
+        "table, compiled": RigidBodyEquations(model, Shear(), stokes_number, evaluation="compiled"),
+    }
+    closed.given = partial(closed_form, shape=SHAPE)
+    if stokes_number:
+        drag = tuple(closed.relaxation_rates[:, 0].tolist())
+        j1, _, j3 = Spheroid(K).inertia.tolist()
+        more = {"shape": SHAPE, "drag": drag, "gyration": (j3 - j1) / j1}
+        closed.given = partial(closed_form_inertial, **more)
+    start = closed.initial_state(np.zeros(3), QUATERNION)
+    exact = np.array(closed.rate_of_rows(0.0, start[0].tolist()))
+    counts: dict[str, int] = {}
+
+    def run(name: str) -> float:
+        begin = time.perf_counter()
+        counts[name] = integrate(ways[name], start, [end], 1e-8, method="8vr").evaluations
+        return 1e6 * (time.perf_counter() - begin) / counts[name]
+
+    spans = turns({name: partial(run, name) for name in ways}, rounds)
+    rows: Rows = []
+    for name, equations in ways.items():
+        out = rates(equations, start[0].tolist())()[:, 0]
+        shares = np.array(spans[name]) / np.array(spans["closed form"])
+        row = {"St": stokes_number, "evaluation": name, "right_hand_sides": counts[name]}
+        row |= {"microseconds": median(spans[name]), "ratio": float(np.median(shares))}
+        rows.append(row | {"difference": float(np.abs(out - exact).max())})
+    return rows
+
+
+def main(small: bool = False) -> dict[str, Rows]:
+    """Both tables."""
+    session.start([])
+    runs = [integrated(st, 5.0 if small else 200.0, 1 if small else 20) for st in (0.0, 1.0)]
+    return {"step": alone(1 if small else 5), "integrated": [*runs[0], *runs[1]]}
+
+
+if __name__ == "__main__":
+    command(main)
