@@ -29,18 +29,18 @@ from qbxstokes.io.names import numbered, parts_of
 Array = NDArray[np.float64]
 
 ROWS, CHECKPOINT = "rows.bin", "checkpoint.json"
-# A block of rows: name, number of rows and of columns, then the numbers.
+# A piece of rows: name, number of rows and of columns, then the numbers.
 _HEAD = struct.Struct("<24sQQ")
 # Rows are kept in memory up to this size (bytes) before the disk is needed.
 _IN_MEMORY = 8 * 2**20
 
 
 class Journal:
-    """Blocks of rows by name, in order; in memory until they are many or must be safe.
+    """Pieces of rows by name, in order; in memory until they are many or must be safe.
 
     >>> journal = Journal(Path("result.h5"))
     >>> journal.append("samples", np.ones((2, 3)))
-    >>> [(name, rows.shape) for name, rows in journal.blocks()]
+    >>> [(name, rows.shape) for name, rows in journal.pieces()]
     [('samples', (2, 3))]
     """
 
@@ -62,9 +62,9 @@ class Journal:
         return self._written + len(self._waiting)
 
     def append(self, name: str, rows: Array) -> None:
-        """Add a block of rows (n, columns)."""
-        block = np.ascontiguousarray(rows, dtype="<f8")
-        self._waiting += _HEAD.pack(name.encode(), *block.shape) + block.tobytes()
+        """Add a piece of rows (n, columns)."""
+        piece = np.ascontiguousarray(rows, dtype="<f8")
+        self._waiting += _HEAD.pack(name.encode(), *piece.shape) + piece.tobytes()
         if len(self._waiting) > _IN_MEMORY:
             self._flush()
 
@@ -84,8 +84,8 @@ class Journal:
         except OSError as error:
             raise self._unwritable(error) from None
 
-    def blocks(self) -> Iterator[tuple[str, Array]]:
-        """All blocks in order."""
+    def pieces(self) -> Iterator[tuple[str, Array]]:
+        """All pieces in order."""
         if self._stream is not None:
             with (self.folder / ROWS).open("rb") as stream:
                 while stream.tell() < self._written:

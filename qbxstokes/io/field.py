@@ -1,4 +1,4 @@
-"""Fields in a result file: the group `field`, which all ranks fill block by block.
+"""Fields in a result file: the group `field`, which all ranks fill piece by piece.
 
 Layout: `field/time` (T,); per set of points a group with `points` (T, N, 3), the quantities
 (T, N, ...), `inside` (T, N) and `source` (T, N), attribute `shape` (the grid, last index fastest)
@@ -58,17 +58,17 @@ def create(
 
 
 class FieldRows:
-    """The points of a laid out field, opened by one rank for the blocks that it has evaluated."""
+    """The points of a laid out field, opened by one rank for the pieces that it has evaluated."""
 
     def __init__(self, path: Path, places: Mapping[str, int], sizes: Mapping[str, int]) -> None:
         """Open it; sizes: number of points of every set. Raises OSError."""
         self._descriptor = os.open(path, os.O_WRONLY)
         self._places, self._sizes = places, sizes
 
-    def put(self, name: str, index: int, begin: int, block: Mapping[str, Array]) -> None:
-        """Write a block of points and quantities of a set at an instant; raises OSError."""
+    def put(self, name: str, index: int, begin: int, rows: Mapping[str, Array]) -> None:
+        """Write a piece of points and quantities of a set at an instant; raises OSError."""
         first = index * self._sizes[name] + begin
-        for quantity, values in block.items():
+        for quantity, values in rows.items():
             data = np.ascontiguousarray(values, dtype=_TYPES.get(quantity, _NUMBER))
             row = data.dtype.itemsize * int(np.prod(data.shape[1:]))
             offset = self._places[f"{name}/{quantity}"] + first * row
@@ -92,6 +92,6 @@ def put_arrays(
         inner.attrs[key] = value
 
 
-def blocks(size: int, block: int) -> Iterable[tuple[int, int]]:
-    """Begin and end of the blocks of `size` points."""
-    return ((begin, min(begin + block, size)) for begin in range(0, size, block))
+def pieces(size: int, piece: int) -> Iterable[tuple[int, int]]:
+    """Begin and end of the pieces of `size` points."""
+    return ((begin, min(begin + piece, size)) for begin in range(0, size, piece))

@@ -201,24 +201,24 @@ class Recording:
 
     # -- at the end ---------------------------------------------------------------------------
 
-    def write(self, writer: ResultWriter, fields: Iterable[str]) -> dict[str, Array]:
+    def write(self, writer: ResultWriter, quantities: Iterable[str]) -> dict[str, Array]:
         """All rows into the result; returns the samples, thinned if they are many, by name.
 
         `largest_orbit_drift` is the largest |C/C0 - 1| of all samples.
         """
-        total = sum(len(rows) for name, rows in self.journal.blocks() if name == SAMPLES)
+        total = sum(len(rows) for name, rows in self.journal.pieces() if name == SAMPLES)
         self.samples = total
         stride = max(1, -(-total // _KEPT))
         kept: list[Array] = []
         first, seen, drift = None, 0, 0.0
         constant = _place("orbit_constant")
-        for name, rows in _together(self.journal.blocks()):
+        for name, rows in _together(self.journal.pieces()):
             if name != SAMPLES:
                 columns = of_event(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
             data = split_columns(rows, _COLUMNS)
-            writer.append({"time": data["time"], **{key: data[key] for key in fields}})
+            writer.append({"time": data["time"], **{key: data[key] for key in quantities}})
             first = rows[0, constant] if first is None else first
             drift = max(drift, float(orbit_drift(rows[:, constant], first)))
             index = np.arange(seen, seen + len(rows))
@@ -233,10 +233,10 @@ class Recording:
         return self.start is not None and run_of(path) == self.run
 
 
-def _together(blocks: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]]:
-    """The blocks of each name joined into pieces of about `_PIECE` bytes."""
+def _together(pieces: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]]:
+    """The pieces of each name joined into larger ones of about `_PIECE` bytes."""
     waiting: dict[str, list[Array]] = {}
-    for name, rows in blocks:
+    for name, rows in pieces:
         pile = waiting.setdefault(name, [])
         pile.append(rows)
         if sum(part.nbytes for part in pile) > _PIECE:
