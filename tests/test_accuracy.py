@@ -14,12 +14,8 @@ from qbxstokes.bie.accuracy import (
     accurate_body,
     adjoint_tail,
     choose_scheme,
-    confocal_rate,
     estimate_error,
-    flow_error,
-    flow_nodes,
     plain_body,
-    resolving_nodes,
 )
 from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.operators import modal_functional, surface_operators
@@ -29,6 +25,7 @@ from qbxstokes.bie.providers import (
     MonitoredGridMotion,
     SolveMotion,
 )
+from qbxstokes.bie.resolution import confocal_rate, flow_error, flow_nodes, resolving_nodes
 from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.flows.named import Shear
 from qbxstokes.flows.singularities import Stokeslet

@@ -12,7 +12,8 @@ import pytest
 from conftest import Run
 
 from qbxstokes import load
-from qbxstokes.bie.accuracy import accurate_body, flow_error
+from qbxstokes.bie.accuracy import accurate_body
+from qbxstokes.bie.resolution import flow_error
 from qbxstokes.geometry.spheroid import Spheroid
 
 WriteCase = Callable[..., Path]

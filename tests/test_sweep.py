@@ -19,7 +19,7 @@ import pytest
 
 import qbxstokes
 from qbxstokes.case.load import load_case
-from qbxstokes.case.sweep import column_name, parse_key
+from qbxstokes.case.space import column_name, parse_key
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation

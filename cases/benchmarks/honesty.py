@@ -16,8 +16,9 @@ import numpy as np
 from measure import Rows, command
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import accurate_body, confocal_rate, flow_nodes, resolving_nodes
+from qbxstokes.bie.accuracy import accurate_body
 from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.resolution import confocal_rate, flow_nodes, resolving_nodes
 from qbxstokes.flows import Flow, PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.geometry import rotation

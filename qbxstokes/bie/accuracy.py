@@ -4,7 +4,7 @@ Three facts make the choice short (all measured in tests/test_accuracy.py, none 
 Inside a spheroid the double layer of a polynomial density is a polynomial of the same degree, so
 that inner expansions of order n_theta + 2 truncate nothing. The quadrature error falls by a fixed
 number of digits per panel node, the same for every aspect ratio. And the error of the functional in
-a flow that is singular outside the body falls by the rate `confocal_rate` per node.
+a flow that is singular outside the body falls by the rate `resolution.confocal_rate` per node.
 
 The estimate compares resolutions: each part is the change of the result when the one parameter
 behind it is refined, rounding the change under perturbations of its size, resolution the last
@@ -15,18 +15,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from qbxstokes.bie.functional import (
-    BodyModel,
-    ErrorParts,
-    ModalFunctional,
-)
+from qbxstokes.bie.functional import BodyModel, ErrorParts, ModalFunctional
 from qbxstokes.bie.operators import (
     DirectSolver,
     SolverFactory,
@@ -36,7 +32,8 @@ from qbxstokes.bie.operators import (
     surface_operators,
 )
 from qbxstokes.bie.resistance import Completion
-from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.bie.resolution import POLYNOMIAL_NODES
+from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import (
     GradedScheme,
@@ -50,8 +47,6 @@ from qbxstokes.qbx.operator import (
 
 Array = NDArray[np.float64]
 
-# Polar nodes that hold the density of a polynomial flow of degree <= 3, with two to show its decay.
-POLYNOMIAL_NODES = 6
 # log10 of the quadrature error of inner expansions (order 8, radius factor 0.3, panel ratio 0.7) is
 # at most LOSS - GAIN * panel_order over 1/50 <= k <= 50; scanned in steps of 2 from 6 to 12.
 _GAIN, _LOSS = 1.4, 4.0
@@ -68,8 +63,6 @@ _ROUNDING = 0.2
 _PERTURBATIONS = 8
 # Rounding of everything after the assembly, which no perturbation of it shows.
 _ROUNDING_FLOOR = 100.0 * float(np.finfo(float).eps)
-# A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
-MOST_NODES = 160
 
 
 class RowFormer(Protocol):
@@ -335,117 +328,3 @@ def _rounding(body: _Body, completion: Completion | None, degree: int) -> float:
         perturbed = form_body_model(operators)
         spread.append(model_distance(body.model, perturbed, degree))
     return float(np.max(spread)) + _ROUNDING_FLOOR
-
-
-def confocal_rate(aspect_ratio: float, points: ArrayLike) -> Array:
-    """Factor per degree by which the surface harmonics of a point singularity decay, (...).
-
-    points (..., 3) in the body frame. With the confocal spheroid through the point having semi-axes
-    (a', a', c'), the rate is (k + 1)/(a' + c'): the ratio of the confocal coordinates
-    xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
-    surface and not below it, and for a sphere the ratio of the distances.
-    """
-    k = float(aspect_ratio)
-    x = np.asarray(points, dtype=float)
-    z2 = x[..., 2] ** 2
-    r2 = x[..., 0] ** 2 + x[..., 1] ** 2
-    # r^2/(k^2 + s) + z^2/(1 + s) = 1 for the parameter s of the confocal family.
-    b = k * k + 1.0 - r2 - z2
-    c = k * k - r2 - z2 * k * k
-    root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
-    # The larger root, without cancellation whatever the sign of b.
-    s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
-    s = np.maximum(s, 0.0)
-    return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
-
-
-def flow_nodes(rate: float, tolerance: float) -> tuple[int, int]:
-    """Polar and azimuthal nodes that resolve a flow of the given `confocal_rate`.
-
-    The polar rule is Gauss's and gains the square of the rate per node. Raises FlowError if more
-    than MOST_NODES would be needed.
-    """
-    # A stresslet's harmonics grow as the cube of the degree before they decay.
-    digits = -math.log10(tolerance) + 1.0
-    slope = -math.log10(rate) if rate > 0.0 else math.inf
-    degree = digits / slope if slope > 0.0 else math.inf
-    for _ in range(3):
-        if math.isfinite(degree):
-            degree = (digits + 3.0 * math.log10(max(1.0, degree * slope))) / slope
-    if degree > 2 * MOST_NODES:
-        least = 10.0 ** (-digits / (2.0 * MOST_NODES))
-        raise FlowError(
-            f"the flow's singularity is too near the body: its rate of decay {rate:.4f} on the "
-            f"surface must stay below {least:.4f} for the tolerance {tolerance:.0e}"
-        )
-    n_theta = max(POLYNOMIAL_NODES, math.ceil(degree / 2.0) + 2)
-    n_phi = max(8, math.ceil(degree) + 3)
-    return n_theta, n_phi + n_phi % 2
-
-
-def flow_error(
-    functional: ModalFunctional,
-    velocity: Callable[[Array], Array],
-    n_theta: int,
-    n_phi: int,
-) -> float:
-    """Relative change of the free motion from the grid to one half as fine again.
-
-    velocity: points (N, 3) of the body frame -> background velocity (N, 3) there. U and Omega are
-    each measured by their own length, or, where symmetry makes them vanish, by a hundredth of the
-    speed (difference of speed over the body's length) on the surface.
-    """
-    motions = []
-    for polar, azimuthal in ((3 * n_theta // 2 + 2, 3 * n_phi // 2 + 2), (n_theta, n_phi)):
-        grid = functional.on_grid(azimuthal, polar)
-        u = velocity(grid.points)
-        motions.append(np.einsum("anj,nj->a", grid.weights, u))
-    # The finer grid errs as well, by much less.
-    k = functional.grid.spheroid.aspect_ratio
-    return 1.5 * float(motion_change(motions[0], motions[1], u, k))
-
-
-def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> Array:
-    """Relative difference (...) of two free motions (..., 6) in the flow u (..., N, 3), at points.
-
-    The larger one of U's and Omega's, with the scales of `flow_error`.
-    """
-    variation = u - u.mean(axis=-2, keepdims=True)
-    scales = (
-        0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
-        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / max(1.0, aspect_ratio),
-    )
-    # A uniform flow turns nothing: what it seems to turn is no error.
-    rounding = 1e4 * scales[0] * float(np.finfo(float).eps)
-    error = np.zeros(fine.shape[:-1])
-    for part, least in zip((slice(0, 3), slice(3, 6)), scales, strict=True):
-        scale = np.maximum(np.linalg.norm(fine[..., part], axis=-1), least)
-        change = np.linalg.norm(fine[..., part] - coarse[..., part], axis=-1)
-        change = np.maximum(0.0, change - rounding)
-        error = np.maximum(error, change / np.where(scale > 0.0, scale, 1.0))
-    return error
-
-
-def resolving_nodes(
-    functional: ModalFunctional,
-    velocity: Callable[[Array], Array],
-    tolerance: float,
-    start: tuple[int, int] = (POLYNOMIAL_NODES, 8),
-) -> tuple[int, int, float]:
-    """Polar and azimuthal nodes for which `flow_error` meets the tolerance, and that error.
-
-    Raises FlowError if MOST_NODES do not suffice.
-    """
-    n_theta, n_phi = start
-    while True:
-        error = flow_error(functional, velocity, n_theta, n_phi)
-        if error <= tolerance:
-            return n_theta, n_phi, error
-        n_theta, n_phi = (5 * n_theta + 3) // 4, (5 * n_phi + 3) // 4
-        n_phi += n_phi % 2
-        if n_theta > MOST_NODES:
-            raise FlowError(
-                f"the flow varies too much over the body: its free motion still changes by "
-                f"{error:.1e} at {n_theta} x {n_phi} points of the surface, more than the "
-                f"tolerance {tolerance:.0e}"
-            )

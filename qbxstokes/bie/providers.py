@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import MOST_NODES, confocal_rate, flow_nodes, motion_change
 from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
+from qbxstokes.bie.resolution import MOST_NODES, confocal_rate, flow_nodes, motion_change
 from qbxstokes.errors import FlowError
 from qbxstokes.geometry.rotation import matrix
 
@@ -65,9 +65,10 @@ class AdaptiveGridMotion:
     """Free motion in a flow with singular points, on a grid as fine as their distance asks for.
 
     The nodes follow from the rate at which the flow's surface harmonics decay
-    (`accuracy.confocal_rate`), in steps of a quarter, so that each body of a batch and each instant
-    has the resolution it needs. Raises FlowError when a body comes so near to a singular point that
-    no admissible grid resolves the flow; `decay` tells how near it is before that happens.
+    (`resolution.confocal_rate`), in steps of a quarter, so that each body of a batch and each
+    instant has the resolution it needs. Raises FlowError when a body comes so near to a singular
+    point that no admissible grid resolves the flow; `decay` tells how near it is before that
+    happens.
     """
 
     def __init__(self, functional: ModalFunctional, flow: SingularFlow, tolerance: float) -> None:

@@ -13,14 +13,8 @@ from qbxstokes.case.base import describe
 from qbxstokes.case.document import Document, Key, document_of, parse, read_text
 from qbxstokes.case.model import Fault, Invalid, section_of
 from qbxstokes.case.schema import TABLE_TASKS, Case, keys, section_at
-from qbxstokes.case.sweep import (
-    TABLE,
-    Sweep,
-    SweepFault,
-    SweepSpace,
-    build_space,
-    parse_key,
-)
+from qbxstokes.case.space import SweepSpace, parse_key
+from qbxstokes.case.sweep import TABLE, Sweep, SweepFault, build_space
 from qbxstokes.case.tabulate import SCENE_SECTIONS
 from qbxstokes.errors import CaseError, FlowError
 

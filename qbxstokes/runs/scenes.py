@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase, from_document
-from qbxstokes.case.sweep import Column, Key
+from qbxstokes.case.space import Column, Key
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
 
 Indices = NDArray[np.int64]

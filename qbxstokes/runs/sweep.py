@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.sweep import column_name
+from qbxstokes.case.space import column_name
 from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.cache import SharedCache

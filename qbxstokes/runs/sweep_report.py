@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from qbxstokes.case.sweep import column_name
+from qbxstokes.case.space import column_name
 from qbxstokes.io.sweep import Layout
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.report import Rows, counted, duration, quantity, render, size

@@ -9,15 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import (
-    AccurateBody,
-    RowFormer,
-    accurate_body,
-    choose_scheme,
-    resolving_nodes,
-)
+from qbxstokes.bie.accuracy import AccurateBody, RowFormer, accurate_body, choose_scheme
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.resistance import Completion
+from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.case.hydrodynamics import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow

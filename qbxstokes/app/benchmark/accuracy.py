@@ -14,15 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.accuracy import (
-    AccurateBody,
-    accurate_body,
-    confocal_rate,
-    flow_nodes,
-    resolving_nodes,
-)
+from qbxstokes.bie.accuracy import AccurateBody, accurate_body
 from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.resolution import confocal_rate, flow_nodes, resolving_nodes
 from qbxstokes.flows.base import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet

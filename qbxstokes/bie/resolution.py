@@ -1,0 +1,137 @@
+"""How many nodes of the surface resolve a background flow, and what error a grid leaves.
+
+Known beforehand where the flow's singular points are (the rate of decay of their harmonics on the
+surface), and otherwise found by comparing the free motion on two grids.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.bie.functional import ModalFunctional
+from qbxstokes.errors import FlowError
+
+Array = NDArray[np.float64]
+
+# Polar nodes that hold the density of a polynomial flow of degree <= 3, with two to show its decay.
+POLYNOMIAL_NODES = 6
+# A grid for a singular flow never exceeds this many polar nodes: the flow is refused as too near.
+MOST_NODES = 160
+
+
+def confocal_rate(aspect_ratio: float, points: ArrayLike) -> Array:
+    """Factor per degree by which the surface harmonics of a point singularity decay, (...).
+
+    points (..., 3) in the body frame. With the confocal spheroid through the point having semi-axes
+    (a', a', c'), the rate is (k + 1)/(a' + c'): the ratio of the confocal coordinates
+    xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
+    surface and not below it, and for a sphere the ratio of the distances.
+    """
+    k = float(aspect_ratio)
+    x = np.asarray(points, dtype=float)
+    z2 = x[..., 2] ** 2
+    r2 = x[..., 0] ** 2 + x[..., 1] ** 2
+    # r^2/(k^2 + s) + z^2/(1 + s) = 1 for the parameter s of the confocal family.
+    b = k * k + 1.0 - r2 - z2
+    c = k * k - r2 - z2 * k * k
+    root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
+    # The larger root, without cancellation whatever the sign of b.
+    s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
+    s = np.maximum(s, 0.0)
+    return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
+
+
+def flow_nodes(rate: float, tolerance: float) -> tuple[int, int]:
+    """Polar and azimuthal nodes that resolve a flow of the given `confocal_rate`.
+
+    The polar rule is Gauss's and gains the square of the rate per node. Raises FlowError if more
+    than MOST_NODES would be needed.
+    """
+    # A stresslet's harmonics grow as the cube of the degree before they decay.
+    digits = -math.log10(tolerance) + 1.0
+    slope = -math.log10(rate) if rate > 0.0 else math.inf
+    degree = digits / slope if slope > 0.0 else math.inf
+    for _ in range(3):
+        if math.isfinite(degree):
+            degree = (digits + 3.0 * math.log10(max(1.0, degree * slope))) / slope
+    if degree > 2 * MOST_NODES:
+        least = 10.0 ** (-digits / (2.0 * MOST_NODES))
+        raise FlowError(
+            f"the flow's singularity is too near the body: its rate of decay {rate:.4f} on the "
+            f"surface must stay below {least:.4f} for the tolerance {tolerance:.0e}"
+        )
+    n_theta = max(POLYNOMIAL_NODES, math.ceil(degree / 2.0) + 2)
+    n_phi = max(8, math.ceil(degree) + 3)
+    return n_theta, n_phi + n_phi % 2
+
+
+def flow_error(
+    functional: ModalFunctional,
+    velocity: Callable[[Array], Array],
+    n_theta: int,
+    n_phi: int,
+) -> float:
+    """Relative change of the free motion from the grid to one half as fine again.
+
+    velocity: points (N, 3) of the body frame -> background velocity (N, 3) there. U and Omega are
+    each measured by their own length, or, where symmetry makes them vanish, by a hundredth of the
+    speed (difference of speed over the body's length) on the surface.
+    """
+    motions = []
+    for polar, azimuthal in ((3 * n_theta // 2 + 2, 3 * n_phi // 2 + 2), (n_theta, n_phi)):
+        grid = functional.on_grid(azimuthal, polar)
+        u = velocity(grid.points)
+        motions.append(np.einsum("anj,nj->a", grid.weights, u))
+    # The finer grid errs as well, by much less.
+    k = functional.grid.spheroid.aspect_ratio
+    return 1.5 * float(motion_change(motions[0], motions[1], u, k))
+
+
+def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> Array:
+    """Relative difference (...) of two free motions (..., 6) in the flow u (..., N, 3), at points.
+
+    The larger one of U's and Omega's, with the scales of `flow_error`.
+    """
+    variation = u - u.mean(axis=-2, keepdims=True)
+    scales = (
+        0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
+        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / max(1.0, aspect_ratio),
+    )
+    # A uniform flow turns nothing: what it seems to turn is no error.
+    rounding = 1e4 * scales[0] * float(np.finfo(float).eps)
+    error = np.zeros(fine.shape[:-1])
+    for part, least in zip((slice(0, 3), slice(3, 6)), scales, strict=True):
+        scale = np.maximum(np.linalg.norm(fine[..., part], axis=-1), least)
+        change = np.linalg.norm(fine[..., part] - coarse[..., part], axis=-1)
+        change = np.maximum(0.0, change - rounding)
+        error = np.maximum(error, change / np.where(scale > 0.0, scale, 1.0))
+    return error
+
+
+def resolving_nodes(
+    functional: ModalFunctional,
+    velocity: Callable[[Array], Array],
+    tolerance: float,
+    start: tuple[int, int] = (POLYNOMIAL_NODES, 8),
+) -> tuple[int, int, float]:
+    """Polar and azimuthal nodes for which `flow_error` meets the tolerance, and that error.
+
+    Raises FlowError if MOST_NODES do not suffice.
+    """
+    n_theta, n_phi = start
+    while True:
+        error = flow_error(functional, velocity, n_theta, n_phi)
+        if error <= tolerance:
+            return n_theta, n_phi, error
+        n_theta, n_phi = (5 * n_theta + 3) // 4, (5 * n_phi + 3) // 4
+        n_phi += n_phi % 2
+        if n_theta > MOST_NODES:
+            raise FlowError(
+                f"the flow varies too much over the body: its free motion still changes by "
+                f"{error:.1e} at {n_theta} x {n_phi} points of the surface, more than the "
+                f"tolerance {tolerance:.0e}"
+            )
