@@ -227,6 +227,85 @@ SUMMARY = _named(
 # The same with one number per name, as the table has it.
 COLUMNS = _named(*(column for quantity in SUMMARY.values() for column in quantity.columns()))
 
+# Of a body without a motion: its law, in a flow what it does there, and what forming it took.
+BODY = _named(
+    Quantity(
+        "resistance",
+        "R",
+        "mu c, mu c^3",
+        "force and torque on the body are -R (velocity, angular velocity)",
+        "body",
+        (6, 6),
+    ),
+    Quantity(
+        "mobility",
+        "M",
+        "1/(mu c), 1/(mu c^3)",
+        "(velocity, angular velocity) are M (force, torque) from outside",
+        "body",
+        (6, 6),
+    ),
+    Quantity("linear", r"\lambda", "1", "Omega = w/2 + linear D3 x (E D3) in a linear flow"),
+    Quantity(
+        "quadratic",
+        "q",
+        "c^2",
+        "coefficients of the free velocity's second derivatives of the flow",
+        "",
+        (5,),
+        ("0", "1", "2", "3", "4"),
+    ),
+    Quantity(
+        "cubic",
+        "c",
+        "c^2",
+        "coefficients of the free angular velocity's third derivatives of the flow",
+        "",
+        (4,),
+        ("0", "1", "2", "3"),
+    ),
+    _vector("free_velocity", "U", "c/tau", "velocity of the free body"),
+    _vector("free_angular_velocity", r"\Omega", "1/tau", "angular velocity of the free body"),
+    _vector("held_force", "F", "mu c^2/tau", "force on the body held fixed"),
+    _vector("held_torque", "M", "mu c^3/tau", "torque on the body held fixed"),
+)
+_RESISTANCE = (
+    *(("translation", direction, "mu c") for direction in ("transverse", "axial")),
+    *(("rotation", direction, "mu c^3") for direction in ("transverse", "axial")),
+)
+_SETUP_TIME = Quantity(
+    "setup_time", "", "s", "time to form the body: the median where measured", label="set-up time"
+)
+_ITERATIONS = Quantity("iterations", "", "1", "GMRES iterations of all solves")
+_ERROR = Quantity("error", "", "1", "largest error against closed forms and references")
+BODY_COLUMNS = _named(
+    *(
+        Quantity(
+            f"resistance_{motion}_{direction}",
+            rf"R^{{\mathrm{{{motion[0]}}}}}_{{{'1' if direction == 'transverse' else '3'}}}",
+            units,
+            f"resistance to {motion}, {direction}",
+            label=f"resistance to {motion}, {direction}",
+        )
+        for motion, direction, units in _RESISTANCE
+    ),
+    *(
+        column
+        for quantity in BODY.values()
+        if len(quantity.shape) < 2
+        for column in quantity.columns()
+    ),
+    Quantity("error_estimate", "", "1", "estimated error of resistance and free motion, relative"),
+    _ERROR,
+    _ITERATIONS,
+    Quantity("true_residual", "", "1", "largest true residual of the solves, relative"),
+    _SETUP_TIME,
+    Quantity("n_theta", r"n_\vartheta", "1", "nodes along a meridian", label=r"$n_\vartheta$"),
+    Quantity("n_phi", r"n_\phi", "1", "nodes around the axis", label=r"$n_\phi$"),
+    Quantity("expansion_order", "p", "1", "order of the expansions"),
+    Quantity("nodes", "", "1", "nodes on the surface"),
+)
+
 STATUS = _named(
     Quantity("status", "", "", "0 missing, 1 done, 2 failed"),
     Quantity("reason", "", "", "why it failed"),
@@ -252,14 +331,11 @@ PARAMETER = _named(
         )
         for angle, symbol in zip(_ANGLES, MOTION["euler_angles"].parts, strict=True)
     ),
-    Quantity("expansion_order", "p", "1", "order of the expansions"),
     Quantity("upsampling", r"\kappa", "1", "factor of the finer grid"),
-    Quantity("n_theta", r"n_\vartheta", "1", "nodes along a meridian", label=r"$n_\vartheta$"),
-    Quantity("n_phi", r"n_\phi", "1", "nodes around the axis", label=r"$n_\phi$"),
 )
 
 
-_COLUMN = COLUMNS | PARAMETER
+_COLUMN = BODY_COLUMNS | COLUMNS | PARAMETER
 
 
 def column(name: str) -> Quantity:

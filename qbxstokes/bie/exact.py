@@ -19,6 +19,6 @@ def exact_model(aspect_ratio: float) -> BodyModel:
     )
 
 
-def true_error(model: BodyModel) -> float:
-    """Largest relative error of a body model, in force, torque or free motion."""
-    return model_distance(model, exact_model(model.aspect_ratio))
+def true_error(model: BodyModel, degree: int = 3) -> float:
+    """Largest relative error of a body model, in force, torque or motion in flows of a degree."""
+    return model_distance(model, exact_model(model.aspect_ratio), degree)

@@ -70,14 +70,19 @@ def json_schema() -> dict[str, Any]:
         for key in parameters:
             known = flow["properties"].setdefault(key, {"description": "key of"})
             known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
-    # Tasks that build their own scenes take neither body nor flow.
-    tables = {"properties": {"task": {"enum": list(TABLE_TASKS)}}, "required": ["task"]}
+    # Tasks that build their own scenes take neither body nor flow, and a body needs no flow.
+    needless = {"body": list(TABLE_TASKS), "flow": ["body", *TABLE_TASKS]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
         "required": [],
-        "if": tables,
-        "else": {"required": schema["required"]},
+        "allOf": [
+            {
+                "if": {"properties": {"task": {"enum": needless[name]}}, "required": ["task"]},
+                "else": {"required": [name]},
+            }
+            for name in schema["required"]
+        ],
         "$defs": definitions,
         "title": "qbxstokes case",
     }
@@ -188,6 +193,7 @@ _STARTERS: dict[str, dict[str, Any]] = {
             "pictures": True,
         },
     },
+    "body": {"task": "body", "title": "The hydrodynamics of a body", "body": {"aspect_ratio": 0.5}},
     **{name: {"task": name, name: {"size": "small"}} for name in ("benchmark", "stress", "study")},
 }
 

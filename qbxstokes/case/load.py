@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 from qbxstokes.case.base import describe
 from qbxstokes.case.document import Document, Key, document_of, parse, read_text
 from qbxstokes.case.model import Fault, Invalid, section_of
-from qbxstokes.case.schema import TABLE_TASKS, Case, keys, section_at
+from qbxstokes.case.schema import FOREIGN, Case, keys, section_at
 from qbxstokes.case.space import SweepSpace, parse_key
 from qbxstokes.case.sweep import TABLE, Sweep, SweepFault, build_space
-from qbxstokes.case.tabulate import SCENE_SECTIONS
 from qbxstokes.errors import CaseError, FlowError
 
 if TYPE_CHECKING:
@@ -29,7 +28,8 @@ MAX_FAULTS = 100  # looked at one by one; a file with more of them is no case at
 class LoadedCase:
     """A valid case with its flow and the document that messages refer to.
 
-    With a sweep, `case` and `flow` are those of the first trajectory and `space` holds the axes.
+    With a sweep, `case` and `flow` are those of the first trajectory and `space` holds the axes. A
+    case without a flow has the fluid at rest.
     """
 
     case: Case
@@ -43,10 +43,8 @@ class LoadedCase:
         return self.document.error(key, wrong, right)
 
     def resolved(self) -> dict[str, Any]:
-        """Every key with its value, defaults included, as plain data."""
-        unused = {name for name in TABLE_TASKS if name != self.case.task}
-        if self.case.task in TABLE_TASKS:
-            unused |= set(SCENE_SECTIONS)
+        """Every section that the task takes with all its keys, defaults included, as plain data."""
+        unused = {key[0] for key in FOREIGN[self.case.task] if len(key) == 1}
         return self.case.model_dump(exclude=unused)
 
 
@@ -203,6 +201,7 @@ def _build_flow(case: Case, document: Document, path: Path) -> Flow:
     from qbxstokes.flows import build_flow
 
     try:
-        return build_flow(case.flow.spec(), path.parent)
+        at_rest = {"type": "uniform", "velocity": [0.0, 0.0, 0.0]}
+        return build_flow(at_rest if case.flow is None else case.flow.spec(), path.parent)
     except FlowError as error:
         raise document.error(("flow", *error.key), str(error)) from None

@@ -30,7 +30,7 @@ from qbxstokes.case.sweep import Sweep
 from qbxstokes.case.tabulate import SCENE_SECTIONS
 from qbxstokes.case.time import Time
 
-Task = Literal["motion", "field", "benchmark", "stress", "study"]
+Task = Literal["motion", "field", "body", "benchmark", "stress", "study"]
 # Tasks that build their own scenes and make tables; each has a section of its own name.
 TABLE_TASKS = ("benchmark", "stress", "study")
 
@@ -38,6 +38,9 @@ TABLE_TASKS = ("benchmark", "stress", "study")
 # They are refused where they are given, and starter cases leave them out.
 _OWN_SCENES = "leave it out: it has its own"
 _ONE_INSTANT = "leave it out, or use task: motion"
+_STILL = "leave it out: nothing moves"
+_MOVING = ("forces", "constraints", "time", "events", "checkpoint")
+_SAMPLING = ("store", "block", "discard")
 FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
     "motion": {
         ("field", name): "leave it out"
@@ -52,6 +55,14 @@ FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
         ("start", "angular_velocity"): "give field.angular_velocity, with field.body: moving",
         ("body", "stokes_number"): "leave it out: the flow at one instant knows no inertia",
         ("body", "inertia"): "leave it out: the flow at one instant knows no inertia",
+    },
+    "body": {
+        **{(name,): "leave it out, or use task: motion" for name in _MOVING},
+        ("field",): "leave it out, or use task: field",
+        **{("start", name): _STILL for name in ("velocity", "angular_velocity")},
+        **{("body", name): _STILL for name in ("stokes_number", "inertia")},
+        ("hydrodynamics", "cache"): "leave it out: the body is always formed anew",
+        **{("sweep", name): "leave it out: a body has no samples" for name in _SAMPLING},
     },
     **{task: {(name,): _OWN_SCENES for name in SCENE_SECTIONS} for task in TABLE_TASKS},
 }
@@ -84,7 +95,9 @@ class Case(Section):
     task: Task = Field(default="motion", description="what to compute")
     title: Text = Field(default="", description="a line that names the case in summaries")
     body: Body = Field(description="the spheroid")
-    flow: FlowSection = Field(description="the background flow")
+    flow: FlowSection | None = Field(
+        description="the background flow (task: body: may be left out)"
+    )
     start: Start = Field(default=Start(), description="state at time 0")
     forces: Forces = Field(default=Forces(), description="external force and torque, gravity")
     constraints: Constraints = Field(
@@ -139,6 +152,8 @@ class Case(Section):
                 holder = holder.get(part) if isinstance(holder, dict) else None
             if isinstance(holder, dict) and holder.get(key[-1]) is not None:
                 raise Problem(f"has no meaning for task: {task}", right, key)
+        if task == "body" and not data.get("flow"):
+            return {**data, "flow": None}
         if task not in TABLE_TASKS:
             return data
         return {**data, "body": {"aspect_ratio": 1.0}, "flow": {"type": "uniform"}}
@@ -153,6 +168,8 @@ class Case(Section):
             if tracers is not None and tracers.duration is None:
                 key = ("field", "tracers", "duration")
                 raise Problem("is missing", "task: field needs the end of the paths", key)
+        if self.flow is None:
+            self._check_alone()
         self._check_forces()
         if self.body.stokes_number == 0:
             for name in ("velocity", "angular_velocity"):
@@ -163,6 +180,14 @@ class Case(Section):
                         ("start", name),
                     )
         self._check_uniform_radius()
+
+    def _check_alone(self) -> None:
+        """Refuse what only a flow gives a meaning to."""
+        if "start" in self.model_fields_set:
+            raise Problem("has no meaning without a flow", "leave it out, or give one", ("start",))
+        if self.hydrodynamics.solve == "every_step":
+            key = ("hydrodynamics", "solve")
+            raise Problem("has no meaning without a flow", "leave it out, or give one", key)
 
     def _check_forces(self) -> None:
         """Refuse weights without mass, and starts that a constraint leaves no room for."""

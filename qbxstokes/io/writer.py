@@ -115,6 +115,13 @@ class ResultWriter:
                     if not len(data.dims[0]):
                         data.dims[0].attach_scale(scale)
 
+    def put(self, arrays: Mapping[str, ArrayLike], about: Mapping[str, Quantity]) -> None:
+        """Write whole arrays, each once, as datasets at the root; raises OutputError."""
+        with self._writing():
+            for name, values in arrays.items():
+                data = self.file.create_dataset(name, data=values, track_times=False)
+                describe(data, about[name])
+
     def append_events(
         self, name: str, rows: Mapping[str, ArrayLike], about: Mapping[str, Quantity]
     ) -> None:

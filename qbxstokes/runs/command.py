@@ -64,6 +64,7 @@ def compute_case(
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
         from qbxstokes.case.load import from_document
+        from qbxstokes.case.schema import TABLE_TASKS
         from qbxstokes.runs.target import target_of
         from qbxstokes.runs.tasks import plan_of
 
@@ -87,7 +88,7 @@ def compute_case(
         from qbxstokes.app.study.run import run_studies
 
         return run_studies(comm, loaded, plan, options, petsc, clock)
-    if loaded.case.task != "motion":
+    if loaded.case.task in TABLE_TASKS:
         from qbxstokes.app.tabulate import run_tables
 
         return run_tables(comm, loaded, plan, options, petsc, clock)
@@ -95,6 +96,10 @@ def compute_case(
         from qbxstokes.runs.sweep import sweep_command
 
         return sweep_command(job)
+    if loaded.case.task == "body":
+        from qbxstokes.runs.body import run_body_case
+
+        return run_body_case(job)
     return run_motion_case(job)
 
 

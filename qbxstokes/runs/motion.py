@@ -142,7 +142,6 @@ def _facts(
 ) -> dict[str, Any]:
     """What the summary says of the computation itself."""
     case, body = loaded.case, assembled.hydrodynamics[0]
-    finest = getattr(body.provider, "finest", None)
     return {
         "case": str(loaded.path),
         "title": case.title,
@@ -151,12 +150,7 @@ def _facts(
         "failure": trajectory.failure,
         "resumed_at": recording.resumed_at,
         "jeffery_period": plan.period,
-        "hydrodynamics": {
-            **body.facts,
-            **body.solves(),
-            **({"finest_nodes": list(finest)} if finest else {}),
-            "error_estimate": body.model.error_estimate,
-        },
+        "hydrodynamics": body.report(),
         "cache_problems": body.problems,
         **({"resistance": vars(formed)} if (formed := body.model.formed_resistance) else {}),
         "relaxation_times": relaxation_times(assembled.equations),

@@ -60,6 +60,7 @@ def flow_text(loaded: LoadedCase) -> str:
     """The flow's name, its keys with their values, given or not, and its degree."""
     from qbxstokes.flows import REGISTRY
 
+    assert loaded.case.flow is not None
     given = loaded.case.flow.spec()
     name = given.pop("type")
     defaults = {key: value for key, value in REGISTRY[name].keys().items() if _stated(value)}
@@ -157,12 +158,13 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
             "Skipped": [("", f"- {text}") for text in plan.skips],
             "Errors": errors,
             "Times": [("total", duration(times["total"])), ("parts", spent)],
-            "Result": _result(loaded, summary),
+            "Result": result_rows(loaded, summary),
         },
     )
 
 
-def _result(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
+def result_rows(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
+    """The files that were written."""
     yield "file", summary["result"]
     for name in summary.get("field", {}).get("files", ()):
         yield "", name
@@ -171,8 +173,9 @@ def _result(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
         yield "", f"({asked} exists and was kept; --overwrite replaces it)"
 
 
-def _solved(summary: dict[str, Any]) -> Rows:
-    hydro, steps = summary["hydrodynamics"], summary["integration"]
+def hydrodynamics_rows(summary: dict[str, Any]) -> Rows:
+    """How the body was formed, and its resistance."""
+    hydro = summary["hydrodynamics"]
     grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes, order {hydro['expansion_order']}"
     yield "integral equation", f"{hydro['scheme']} QBX, {grid}"
     if hydro["solves"]:
@@ -197,6 +200,11 @@ def _solved(summary: dict[str, Any]) -> Rows:
         )
         text = f"{across} across, {along} along the axis; rotation {turning}, {spinning}"
         yield "resistance", text
+
+
+def _solved(summary: dict[str, Any]) -> Rows:
+    steps = summary["integration"]
+    yield from hydrodynamics_rows(summary)
     layer = summary["relaxation_times"]
     if layer:
         a, b, c, d = (quantity(value) for value in layer.values())

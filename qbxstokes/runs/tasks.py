@@ -14,6 +14,10 @@ def plan_of(loaded: LoadedCase) -> Any:
         from qbxstokes.runs.field import plan_field
 
         return plan_field(loaded)
+    if loaded.case.task == "body":
+        from qbxstokes.runs.body import plan_body
+
+        return plan_body(loaded)
     if loaded.case.task in TABLE_TASKS:
         from qbxstokes.app.tabulate import plan_tables
 

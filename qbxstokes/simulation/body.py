@@ -157,9 +157,14 @@ class Body:
             )
         return self._formed[key]
 
-    def hydrodynamics_in(self, flow: Flow, need: Need, workshop: Workshop) -> Hydrodynamic:
-        """The body model and what a scene asks at each step, in a background flow."""
-        degree = 3 if flow.degree is None else min(3, max(1, flow.degree))
+    def hydrodynamics_in(
+        self, flow: Flow, need: Need, workshop: Workshop, degree: int | None = None
+    ) -> Hydrodynamic:
+        """The body model and what a scene asks at each step, in a background flow.
+
+        degree: of the flows that the model is for, 1 to 3, if not that of the flow itself.
+        """
+        degree = degree or (3 if flow.degree is None else min(3, max(1, flow.degree)))
         before, section = workshop.cache.found, self.settings
         body, solvers = self.formed(degree, need.completion, workshop)
         facts = {
@@ -200,9 +205,7 @@ class Body:
         >>> np.round(np.diag(qs.Body(1.0).resistance) / np.pi, 9)
         array([6., 6., 6., 8., 8., 8.])
         """
-        r = self.model.resistance
-        across, about = r.translation_transverse, r.rotation_transverse
-        return np.diag([across, across, r.translation_axial, about, about, r.rotation_axial])
+        return resistance_matrix(self.model)
 
     @property
     def mobility(self) -> Array:
@@ -337,6 +340,13 @@ class Body:
         around = AroundBody(self.shape, flow, self.settings, tolerance)
         whole = around.at(Instant(t, x[0], q[0], *moving))
         return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), tolerance)
+
+
+def resistance_matrix(model: BodyModel) -> Array:
+    """Matrix R (6, 6), body frame: (force, torque) ON the body = -R (V, Omega)."""
+    r = model.resistance
+    across, about = r.translation_transverse, r.rotation_transverse
+    return np.diag([across, across, r.translation_axial, about, about, r.rotation_axial])
 
 
 def _shape(

@@ -158,11 +158,11 @@ def _driven(
     if not np.any(body.stokes_number):
         if free.velocity is None:
             exact = u + axial(axis, f, 1.0 / across, 1.0 / along)
-            found.add("velocity", name, _relative(v, exact))
+            found.add("velocity", name, relative(v, exact))
         if free.angular_velocity is None:
             exact = omega + axial(axis, m, 1.0 / turning, 1.0 / spinning)
             if np.any(np.abs(exact) > 0.0):
-                found.add("angular_velocity", name, _relative(w, exact))
+                found.add("angular_velocity", name, relative(w, exact))
     still = not np.any(m) and np.abs(w).max() <= 1e-14 and flow.degree == 0
     if still and free.velocity is None and np.all(f == f[0]):
         _settling(found, body, times, samples, u, f)
@@ -239,7 +239,7 @@ def _resistance(found: Comparison, model: BodyModel) -> None:
     found.add("resistance", "Lamb and Jeffery", error)
 
 
-def _relative(values: Array, exact: Array) -> float:
+def relative(values: Array, exact: Array) -> float:
     """Largest distance over the samples, relative to the largest exact vector."""
     scale = np.linalg.norm(exact, axis=-1).max()
     return float(np.linalg.norm(values - exact, axis=-1).max() / (scale or 1.0))
@@ -253,8 +253,8 @@ def _free_motion(
     velocity, spin = faxen.free_motion_polynomial(k, axis, *flow.derivatives(samples["position"]))
     name = "Chwang's and Faxen's laws" if flow.degree > 1 else "Jeffery's formula"
     if np.any(velocity) or np.any(samples["velocity"]):
-        found.add("free_velocity", name, _relative(samples["velocity"], velocity))
-    found.add("free_angular_velocity", name, _relative(samples["angular_velocity"], spin))
+        found.add("free_velocity", name, relative(samples["velocity"], velocity))
+    found.add("free_angular_velocity", name, relative(samples["angular_velocity"], spin))
 
 
 def _jeffery_orbit(
@@ -320,7 +320,7 @@ def _inertial_rotation(
     name = "semi-analytic equations"
     found.add("axis", name, np.linalg.norm(samples["axis"] - exact[last:], axis=-1).max())
     omega = rotation.to_space(solution.orientation, solution.angular_velocity)[last:]
-    found.add("angular_velocity", name, _relative(samples["angular_velocity"], omega))
+    found.add("angular_velocity", name, relative(samples["angular_velocity"], omega))
 
 
 def _with_start(times: Array) -> tuple[Array, int]:

@@ -101,6 +101,16 @@ class Hydrodynamic:
     solvers: list[Any] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
+    def report(self) -> dict[str, Any]:
+        """How it was obtained, in numbers and words: discretisation, solves, estimated error."""
+        finest = getattr(self.provider, "finest", None)
+        return {
+            **self.facts,
+            **self.solves(),
+            **({"finest_nodes": list(finest)} if finest else {}),
+            "error_estimate": self.model.error_estimate,
+        }
+
     def solves(self) -> dict[str, Any]:
         """Number of GMRES solves so far, their iterations and worst true residual."""
         records = [record for solver in self.solvers for record in solver.records]

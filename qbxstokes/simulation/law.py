@@ -1,0 +1,91 @@
+"""The hydrodynamics of one body without a motion: its law, its state in a flow, its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.bie.exact import true_error
+from qbxstokes.geometry import rotation
+from qbxstokes.reference import faxen
+from qbxstokes.simulation.assembly import assemble
+from qbxstokes.simulation.body import resistance_matrix
+from qbxstokes.simulation.compare import Comparison, relative
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.simulation import ORIGIN, Simulation
+
+Array = NDArray[np.float64]
+
+# Nodes of the reference's mean over the surface, and how many times the flow's own.
+_REFERENCE_NODES, _FINER = 40, 2
+_IN_FLOW = ("free_velocity", "free_angular_velocity", "held_force", "held_torque")
+
+
+def form_law(scene: Simulation, in_flow: bool, workshop: Workshop) -> Hydrodynamic:
+    """Form the body of a scene with its resistance: for its flow, or for flows of degree <= 3."""
+    need = scene.need(pushed=True)
+    return scene.body.hydrodynamics_in(scene.flow, need, workshop, None if in_flow else 3)
+
+
+@dataclass(frozen=True)
+class Law:
+    """The numbers of a formed body; in_flow: with what it does where the scene puts it."""
+
+    scene: Simulation
+    formed: Hydrodynamic
+    in_flow: bool
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The quantities of `quantities.BODY` by name; those in a flow where there is one."""
+        model = self.formed.model
+        resistance = resistance_matrix(model)
+        found = {
+            "resistance": resistance,
+            "mobility": np.diag(1.0 / np.diag(resistance)),
+            "linear": np.array(model.faxen.linear),
+            "quadratic": model.faxen.quadratic,
+            "cubic": model.faxen.cubic,
+        }
+        if self.in_flow:
+            found |= dict(zip(_IN_FLOW, (*self._moving(None), *self._moving(ORIGIN)), strict=True))
+        return found
+
+    def _moving(self, velocity: Any) -> tuple[Array, Array]:
+        """Velocities (3,) of the free body (velocity None), or force and torque on the held one."""
+        scene = self.scene
+        body = scene.body.with_inertia(0.0 if velocity is None else 1.0)
+        placed = Simulation(
+            body,
+            scene.flow,
+            position=scene.position[0],
+            orientation=scene.quaternion[0],
+            velocity=velocity,
+            angular_velocity=velocity,
+        )
+        assembled = assemble([placed], checked=True, maker=lambda *_: self.formed)
+        equations = assembled.equations
+        ask = equations.velocities if velocity is None else equations.force_torque
+        one, other = ask(0.0, assembled.initial)
+        return np.array(one[0]), np.array(other[0])
+
+    def errors(self, arrays: dict[str, Array]) -> Comparison:
+        """Errors against the laws of Lamb, Jeffery and Faxen."""
+        flow, k = self.scene.flow, self.scene.body.aspect_ratio
+        degree = 3 if not self.in_flow or flow.degree is None else min(3, max(1, flow.degree))
+        found = Comparison()
+        found.add("law", "Lamb, Jeffery and Faxen", true_error(self.formed.model, degree))
+        if self.in_flow:
+            nodes, _ = self.formed.facts.get("flow_nodes", (0, 0))
+            place = rotation.matrix(self.scene.quaternion[0]), self.scene.position[0]
+            order = max(_REFERENCE_NODES, _FINER * nodes)
+            exact = (
+                *faxen.free_motion(k, *place, flow.velocity, order),
+                *faxen.fixed_force_torque(k, *place, flow.velocity, order),
+            )
+            for name, values in zip(_IN_FLOW, exact, strict=True):
+                found.add(name, "Brenner's Faxen laws", relative(arrays[name], values))
+        return found
