@@ -21,7 +21,7 @@ import os
 import shutil
 import socket
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, OutputError
+from qbxstokes.io.names import numbered, parts_of
 
 Array = NDArray[Any]
 
 LOCK, RUN = "lock", "run.json"
 _NOTE, _SUFFIX = "note", ".h5"
 # Names of results, with numbers, that are looked through for a run to go on with.
-_NUMBERED = 1000
+NUMBERED = 1000
 
 
 class DamagedPart(Exception):
@@ -79,7 +80,9 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
         text = np.frombuffer(json.dumps(note).encode(), dtype=np.uint8)
         for name, values in {**arrays, _NOTE: text}.items():
             data = np.asarray(values)
-            checked: dict[str, Any] = {"fletcher32": True, "chunks": data.shape} if data.size else {}
+            checked: dict[str, Any] = (
+                {"fletcher32": True, "chunks": data.shape} if data.size else {}
+            )
             if data.ndim == 0:
                 checked, data = {"fletcher32": True, "chunks": (1,)}, data.reshape(1)
             item = file.create_dataset(name, data=data, track_times=False, **checked)
@@ -118,18 +121,6 @@ def read_part(
 # -- working folders ------------------------------------------------------------------------------
 
 
-def numbered(path: Path) -> Iterator[Path]:
-    """result.h5, result-1.h5, result-2.h5, ..."""
-    yield path
-    for number in range(1, 1_000_000):
-        yield path.with_name(f"{path.stem}-{number}{path.suffix}")
-
-
-def parts_of(path: Path) -> Path:
-    """The working folder of the run whose result is to be `path`."""
-    return path.with_name(f"{path.name}.parts")
-
-
 class Work:
     """The working folder of a result as one writer sees it.
 
@@ -138,7 +129,9 @@ class Work:
     depend on. resumed: whether there is work of an earlier run.
     """
 
-    def __init__(self, target: Path, identity: Mapping[str, Any], run: int, writer: int = 0) -> None:
+    def __init__(
+        self, target: Path, identity: Mapping[str, Any], run: int, writer: int = 0
+    ) -> None:
         self.target, self.identity, self.run, self.writer = target, dict(identity), run, writer
         self.folder = parts_of(target)
         self.resumed = run > 1
@@ -276,19 +269,23 @@ def open_work(
     """
     wanted = json.loads(json.dumps(identity))
     if resume:
-        for name in islice(numbered(asked), _NUMBERED):
+        for name in islice(numbered(asked), NUMBERED):
             if holds_work(parts_of(name)):
                 return _reopened(name, wanted)
             if not name.exists():
                 break
     target = asked if overwrite else next(n for n in numbered(asked) if not os.path.lexists(n))
     work = Work(target, wanted, 1).hold()
-    if holds_work(work.folder) and not overwrite:
-        work.close()
-        raise CaseError(
-            f"{target}: an unfinished run is kept in {work.folder}; go on with --resume, or begin "
-            "anew with --overwrite"
-        )
+    for name in dict.fromkeys([asked, target]):
+        folder = parts_of(name)
+        if not overwrite and holds_work(folder):
+            if name != target:  # is it at work, or has it stopped?
+                Work(name, wanted, 1).hold().close()
+            work.close(remove=name != target)
+            raise CaseError(
+                f"{name}: an unfinished run is kept in {folder}; go on with --resume, or begin "
+                "anew with --overwrite"
+            )
     _cleared(work.folder)
     return work
 
