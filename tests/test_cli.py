@@ -213,7 +213,12 @@ def test_cases_are_valid_and_say_what_they_are(case: Path) -> None:
 def test_plan_refuses_what_the_schema_cannot_see(write_case: WriteCase) -> None:
     faults = {
         "time.periods: the flow's gradient": {"flow": {"type": "extension"}},
-        "output.fields[1]: 'axes' is not": {"output": {"fields": ["axis", "axes"]}},
+        "output.fields[1]: orbit_constant exists": {
+            "flow": {"type": "paraboloid"},
+            "start": {"position": [0, 0, 0], "orientation": {"axis": [1, 0, 0]}},
+            "output": {"fields": ["axis", "orbit_constant"]},
+            "time": {"end": 1.0},
+        },
         "start.position: the flow is singular": {
             "flow": {"type": "stokeslet", "strength": [1, 0, 0]}
         },
@@ -225,6 +230,12 @@ def test_plan_refuses_what_the_schema_cannot_see(write_case: WriteCase) -> None:
         with pytest.raises(CaseError) as caught:
             plan(loaded)
         assert expected in str(caught.value)
+
+
+def test_schema_knows_what_can_be_recorded(write_case: WriteCase) -> None:
+    path = write_case(CASE | {"output": {"fields": ["axis", "axes"]}})
+    with pytest.raises(CaseError, match=r"output.fields\[1\]: 'axes' is not .*did you mean axis\?"):
+        load_case(path)
 
 
 @pytest.mark.parametrize("k", [0.02, 0.5, 1.0, 3.0])

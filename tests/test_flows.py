@@ -28,6 +28,7 @@ from qbxstokes.flows import (
 )
 from qbxstokes.flows.differences import gradient_of, laplacian_of
 from qbxstokes.flows.polynomial import parse_monomial
+from qbxstokes.flows.user import load_function
 from qbxstokes.flows.values import rotation_matrix
 from qbxstokes.geometry import rotation
 
@@ -437,6 +438,27 @@ def test_user_functions_that_cannot_be_used_say_why(user, tmp_path):
     (tmp_path / "broken.py").write_text("1 / 0")
     with pytest.raises(FlowError, match="raised ZeroDivisionError"):
         build_flow({"type": "user", "function": "broken.py:f"}, tmp_path)
+
+
+def test_a_users_file_is_executed_once_and_again_when_it_has_changed(tmp_path):
+    file = tmp_path / "counted.py"
+    text = (
+        "from dataclasses import dataclass\nfrom pathlib import Path\n"
+        "with open(Path(__file__).with_name('count'), 'a') as stream:\n    stream.write('.')\n"
+        "@dataclass\nclass Rate:\n    value: float = 2.0\n"
+        "def shear(x):\n    return Rate().value * x[:, [1, 0, 0]] * [1, 0, 0]\n"
+        "def other(x):\n    return -shear(x)\n"
+    )
+    file.write_text(text)
+    spec = {"type": "user", "function": "counted.py:shear"}
+    one, two = build_flow(spec, tmp_path), build_flow(spec, tmp_path)
+    assert one.function is two.function
+    assert load_function(f"{tmp_path}/../{tmp_path.name}/counted.py:other").__name__ == "other"
+    assert (tmp_path / "count").read_text() == "."
+    file.write_text(text.replace("2.0", "3.0"))
+    changed = build_flow(spec, tmp_path)
+    assert (tmp_path / "count").read_text() == ".."
+    assert [flow.velocity([0, 1, 0])[0] for flow in (one, changed)] == [2.0, 3.0]
 
 
 def test_paths_of_user_functions_are_resolved_in_sums_too(tmp_path):

@@ -68,6 +68,43 @@ def test_functions_of_the_user_are_checked(tmp_path: Path) -> None:
         timed("mine.py:bad", tmp_path, 1.0)
 
 
+COUNTED = """\
+import os
+with open(os.path.join(os.path.dirname(__file__), "count"), "a") as stream:
+    stream.write(f"{os.getpid()}\\n")
+def flow(x): return x[:, [1, 0, 0]] * [1.0, 0.0, 0.0]
+def force(t): return [0.0, 0.0, 0.1 * t]
+"""
+USERS = CASE | {
+    "flow": {"type": "user", "function": "mine.py:flow"},
+    "forces": {"force": "mine.py:force"},
+    "hydrodynamics": {"tolerance": 1e-4},
+    "time": {"end": 0.1, "samples": 2, "tolerance": 1e-4},
+}
+SWEPT = {"sweep": {"axes": [{"start.position[2]": [0, 1]}, {"body.aspect_ratio": [0.5, 0.6]}]}}
+
+
+@pytest.mark.parametrize("more", [{}, SWEPT], ids=["motion", "sweep"])
+def test_a_users_file_is_executed_once_in_a_run(
+    more: dict[str, Any], run_cli: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    write_case(COUNTED, "mine.py")
+    done = run_cli(write_case(USERS | more), "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert len((tmp_path / "count").read_text().splitlines()) == 1
+
+
+@pytest.mark.mpi
+def test_a_users_file_is_executed_once_on_each_rank(
+    mpirun: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    write_case(COUNTED, "mine.py")
+    done = mpirun(2, write_case(USERS), "--quiet")
+    assert done.returncode == 0, done.stderr
+    ranks = (tmp_path / "count").read_text().splitlines()
+    assert len(ranks) == len(set(ranks)) == 2
+
+
 def test_weight_in_both_groups_is_the_same(write_case: WriteCase) -> None:
     heavy = CASE | {"body": {"aspect_ratio": 0.5, "stokes_number": 3}}
     found = []

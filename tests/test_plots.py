@@ -22,7 +22,7 @@ from qbxstokes.io.results import load
 from qbxstokes.io.tables import Column, Table
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
-from qbxstokes.plots.animation import Motion, animate
+from qbxstokes.plots.animation import Frames, animate
 from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.orbit import drifts
@@ -487,20 +487,20 @@ def test_sweep_draws_what_is_asked_for() -> None:
 
 
 def test_frames_follow_the_motion(result: Result, times: Array) -> None:
-    film = Motion.of(result, 50, (1.0, 9.0))
+    film = Frames.of(result, 50, (1.0, 9.0))
     np.testing.assert_allclose(film.times, np.linspace(1.0, 9.0, 50))
     np.testing.assert_allclose(film.position[:, 0], 9.0 * film.times)
     exact = jeffery.axis_at(film.times, K, result.axis[0])
     np.testing.assert_allclose(rotation.axis(film.orientation), exact, atol=2e-4)
     with pytest.raises(CaseError, match="none in the window"):
-        Motion.of(result, 50, (1e6, 2e6))
+        Frames.of(result, 50, (1e6, 2e6))
 
 
 def test_quaternions_of_either_sign_are_one_motion(result: Result, tmp_path: Path) -> None:
     block = {"time": result.time, **{name: result[name].copy() for name in ("orientation", "axis")}}
     block["orientation"][1::2] *= -1.0
-    flipped = Motion.of(load(write(tmp_path / "a.h5", block)), 40)
-    plain = Motion.of(result, 40)
+    flipped = Frames.of(load(write(tmp_path / "a.h5", block)), 40)
+    plain = Frames.of(result, 40)
     distance = np.abs(rotation.axis(flipped.orientation) - rotation.axis(plain.orientation))
     assert distance.max() < 0.02  # linear against cubic interpolation
 

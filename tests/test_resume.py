@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ENVIRONMENT, Run
+from qbxstokes.io.checkpoint import Journal, unfinished
 
 from qbxstokes import load
 from qbxstokes.errors import CaseError
-from qbxstokes.io.checkpoint import Journal, unfinished
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {
@@ -47,7 +47,7 @@ def test_journal_keeps_what_its_checkpoint_covers(tmp_path: Path) -> None:
     again, checkpoint = Journal.reopened(target)
     assert checkpoint["step"] == 1
     again.append("rows", np.zeros((1, 3)))
-    joined = np.concatenate([rows for _, rows in again.blocks()])
+    joined = np.concatenate([rows for _, rows in again.pieces()])
     np.testing.assert_array_equal(joined, [[0, 1, 2], [3, 4, 5], [0, 0, 0]])
     again.close(remove=True)
     assert not again.folder.exists()
@@ -76,7 +76,7 @@ def test_a_damaged_working_folder_is_refused(
     again.save({"step": 2})
     again.close()
     last, checkpoint = Journal.reopened(journal.target)
-    assert (checkpoint["step"], len(list(last.blocks()))) == (2, 2)
+    assert (checkpoint["step"], len(list(last.pieces()))) == (2, 2)
     last.close()
 
 

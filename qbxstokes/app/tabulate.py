@@ -27,8 +27,8 @@ from qbxstokes.io.tables import Table
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.parallel import on_root
-from qbxstokes.runs.plan import result_path
-from qbxstokes.runs.report import WIDTH, Rows, block, duration, headline, render, tell_plan
+from qbxstokes.runs.report import WIDTH, Rows, duration, headline, render, section, tell_plan
+from qbxstokes.runs.target import result_path
 
 
 @dataclass(frozen=True)
@@ -244,4 +244,4 @@ def _closing(summary: dict[str, Any], result: Path, made: dict[str, str]) -> str
     rows = [("file", str(result)), *((f"{name} ", text) for name, text in made.items())]
     if summary["files"]:
         rows.insert(1, ("", f"and {len(summary['files'])} files beside it"))
-    return "\n".join([block("Times", [("", spent)]), block("Result", rows)])
+    return "\n".join([section("Times", [("", spent)]), section("Result", rows)])

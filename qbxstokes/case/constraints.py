@@ -14,18 +14,18 @@ def _motion(value: Any) -> Any:
     return value if value in (FREE, LOCKED) else timed_entry(value)
 
 
-Motion = Annotated[Any, Convert(_motion, json=list[float | str] | str | dict[str, Any])]
+Prescribed = Annotated[Any, Convert(_motion, json=list[float | str] | str | dict[str, Any])]
 
 
 class Constraints(Section):
     """Translation and rotation: free, locked, or prescribed; force and torque are recorded."""
 
-    translation: Motion = Field(
+    translation: Prescribed = Field(
         default=FREE,
         description="free, locked, or velocity in space: numbers, expressions in t, ...",
         examples=["locked"],
     )
-    rotation: Motion = Field(
+    rotation: Prescribed = Field(
         default=FREE,
         description="free, locked, or angular velocity in space: as above",
         examples=[[0.0, 0.0, "cos(t)"]],

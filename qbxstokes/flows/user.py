@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import inspect
+import sys
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -160,21 +162,19 @@ def _name_of(function: Callable[..., Any]) -> str:
 
 
 def load_function(name: str) -> Callable[..., Any]:
-    """The function that "file.py:function" names; raises FlowError."""
+    """The function that "file.py:function" names; raises FlowError.
+
+    A file is executed once in a process, however many functions are taken from it and however
+    often; one that has changed since is executed anew.
+    """
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
     if not separator or path.suffix != ".py" or not attribute.isidentifier():
         raise FlowError(f"function must be given as file.py:function, not {name!r}", ("function",))
     if not path.is_file():
         raise FlowError(f"there is no file {path_text!r} for the function {name!r}", ("function",))
-    # A name of its own for each path, so that two files called alike do not meet.
-    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
-    specification = importlib.util.spec_from_file_location(f"_flow_{digest}", path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
     try:
-        specification.loader.exec_module(module)
+        module = _executed(str(path.resolve()), path.read_bytes())
     except (Exception, SystemExit) as error:
         raise FlowError(
             f"{path_text} raised {type(error).__name__}: {error}", ("function",)
@@ -191,6 +191,22 @@ def load_function(name: str) -> Callable[..., Any]:
             ("function",),
         )
     return function  # type: ignore[no-any-return]
+
+
+@cache
+def _executed(path: str, content: bytes) -> ModuleType:
+    """The module that a file is, executed."""
+    # A name of its own for each, so that two files called alike do not meet.
+    module = ModuleType(f"_user_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}")
+    module.__file__ = path
+    code = compile(content, path, "exec", dont_inherit=True)
+    sys.modules[module.__name__] = module  # what a data class in it asks for
+    try:
+        exec(code, vars(module))
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    return module
 
 
 def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Fields in a result file: the group `field`, which is filled block by block.
+"""Fields in a result file: the group `field`, which is filled piece by piece.
 
 Layout: `field/time` (T,); per set of points a group with `points` (T, N, 3), the quantities
 (T, N, ...), `inside` (T, N) and `source` (T, N), attribute `shape` (the grid, last index fastest)
@@ -52,9 +52,9 @@ def create(
             placed_dataset(inner, quantity, whole, _TYPES.get(quantity, _NUMBER), about)
 
 
-def put_rows(inner: h5py.Group, index: int, begin: int, block: Mapping[str, Array]) -> None:
-    """Write a block of points and quantities of a set at an instant."""
-    for quantity, values in block.items():
+def put_rows(inner: h5py.Group, index: int, begin: int, rows: Mapping[str, Array]) -> None:
+    """Write a piece of points and quantities of a set at an instant."""
+    for quantity, values in rows.items():
         inner[quantity][index, begin : begin + len(values)] = values
 
 
@@ -71,6 +71,6 @@ def put_arrays(
         inner.attrs[key] = value
 
 
-def blocks(size: int, block: int) -> Iterable[tuple[int, int]]:
-    """Begin and end of the blocks of `size` points."""
-    return ((begin, min(begin + block, size)) for begin in range(0, size, block))
+def pieces(size: int, piece: int) -> Iterable[tuple[int, int]]:
+    """Begin and end of the pieces of `size` points."""
+    return ((begin, min(begin + piece, size)) for begin in range(0, size, piece))

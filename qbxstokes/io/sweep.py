@@ -51,7 +51,7 @@ TOTALS = ("trajectories", "done", "failed", "steps", "rhs_evaluations", "wall_ti
 class Layout:
     """What a sweep file holds.
 
-    dtype: of the table. fields: quantities stored at every instant, () for the table alone.
+    dtype: of the table. quantities: those stored at every instant, () for the table alone.
     times: the instants (T,) of all trajectories, or None where they differ. coordinates: names of
     the table's columns that are swept values. descriptions: of the table's columns.
     """
@@ -59,7 +59,7 @@ class Layout:
     size: int
     samples: int
     dtype: np.dtype[Any]
-    fields: tuple[str, ...]
+    quantities: tuple[str, ...]
     times: Array | None
     coordinates: tuple[str, ...]
     descriptions: Mapping[str, Quantity]
@@ -67,8 +67,8 @@ class Layout:
     @property
     def row_bytes(self) -> int:
         """Bytes per trajectory."""
-        numbers = sum(MOTION[name].size for name in self.fields)
-        own_times = self.samples if self.fields and self.times is None else 0
+        numbers = sum(MOTION[name].size for name in self.quantities)
+        own_times = self.samples if self.quantities and self.times is None else 0
         scales = 8 * (1 + len(self.coordinates))
         return 8 * numbers * self.samples + 8 * own_times + self.dtype.itemsize + scales
 
@@ -171,7 +171,7 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
     table.dims[0].label = "trajectory"
     for scale in (index, *scales):
         table.dims[0].attach_scale(scale)
-    if not layout.fields:
+    if not layout.quantities:
         return
     own = layout.times is None
     shape = (layout.size, layout.samples) if own else (layout.samples,)
@@ -184,7 +184,7 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
         time.dims[1].attach_scale(second)
     else:
         time.make_scale("time")
-    for name in layout.fields:
+    for name in layout.quantities:
         about = MOTION[name]
         data = placed_dataset(
             file, name, (layout.size, layout.samples, *about.shape), numbers, about
@@ -213,9 +213,9 @@ class WholeFile:
         """Open it; raises OSError."""
         self._descriptor = os.open(data, os.O_RDWR if writable else os.O_RDONLY)
         self._offsets, self._layout = offsets, layout
-        self._row = {name: 8 * layout.samples * MOTION[name].size for name in layout.fields}
+        self._row = {name: 8 * layout.samples * MOTION[name].size for name in layout.quantities}
         self._row["table"] = layout.dtype.itemsize
-        if layout.fields and layout.times is None:
+        if layout.quantities and layout.times is None:
             self._row["time"] = 8 * layout.samples
 
     def write_column(self, name: str, first: int, values: Array) -> None:
@@ -273,7 +273,7 @@ class WholeFile:
         os.fsync(self._descriptor)
 
     def _names(self, present: Mapping[str, Any]) -> list[str]:
-        return [name for name in ("table", "time", *self._layout.fields) if name in present]
+        return [name for name in ("table", "time", *self._layout.quantities) if name in present]
 
     def __enter__(self) -> WholeFile:
         """The file itself."""

@@ -1,6 +1,6 @@
 """Fields as VTKHDF files, which ParaView opens as they are (VTK file formats, "VTKHDF", version 2).
 
-One file holds a PartitionedDataSetCollection: a block per set of points, the body's surface with
+One file holds a PartitionedDataSetCollection: a part per set of points, the body's surface with
 its traction, and lines, each with its steps in time. Cells that touch a point inside the body are
 left out, so that nothing is drawn where nothing flows.
 """
@@ -33,7 +33,7 @@ def export(result: h5py.File, path: Path) -> Path:
     with h5py.File(path, "w", libver=("earliest", "v110")) as file:
         root = _typed(file, "VTKHDF", "PartitionedDataSetCollection")
         assembly = root.create_group("Assembly", track_order=True)
-        writers: list[tuple[str, h5py.Group, _Block]] = []
+        writers: list[tuple[str, h5py.Group, _Part]] = []
         for name, inner in group.items():
             if not isinstance(inner, h5py.Group):
                 continue
@@ -41,15 +41,15 @@ def export(result: h5py.File, path: Path) -> Path:
                 continue  # on instants of their own, and a sample of the plane
             polygonal = name in ("surface", "streamlines")
             kind = "PolyData" if polygonal else "UnstructuredGrid"
-            block = _typed(root, name, kind)
-            block.attrs["Index"] = np.int64(len(writers))
+            part = _typed(root, name, kind)
+            part.attrs["Index"] = np.int64(len(writers))
             assembly.create_group(name, track_order=True)[name] = h5py.SoftLink(f"/VTKHDF/{name}")
-            writers.append((name, inner, _Block(block, polygonal)))
+            writers.append((name, inner, _Part(part, polygonal)))
         for step in range(len(times)):
             for name, inner, writer in writers:
                 writer.add(*_piece(name, inner, step))
         for _, _, writer in writers:
-            # Each block carries the steps; the reader wants none at the root.
+            # Each part carries the steps; the reader wants none at the root.
             writer.finish(times)
     return path
 
@@ -65,7 +65,7 @@ def _typed(parent: h5py.Group, name: str, kind: str) -> h5py.Group:
 
 
 def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, dict[str, Array]]:
-    """Points (N, 3), cells (M, n), type of cell and point data of a block at one step."""
+    """Points (N, 3), cells (M, n), type of cell and point data of a part at one step."""
     if name == "streamlines":
         lines = inner["points"][step]
         whole = ~np.isnan(lines).any(axis=(1, 2))
@@ -108,8 +108,8 @@ def _cells(shape: tuple[int, ...], closed: bool) -> tuple[Array, int]:
     return np.stack(flat, axis=-1).reshape(-1, 4), _QUAD
 
 
-class _Block:
-    """One block of the collection, extended step by step."""
+class _Part:
+    """One part of the collection, extended step by step."""
 
     def __init__(self, group: h5py.Group, polygonal: bool) -> None:
         self.group = group

@@ -37,7 +37,7 @@ FORMATS = ("gif", "mp4")
 FRAMES_PER_TURN = 48
 _FRAMES = (60, 360)  # least and most frames where their number is not given
 _DPI = 120
-_SIDE = 4.2  # inches of the scene
+_SIDE = 4.2  # inches of the picture
 _VIEW = Camera(-62.0, 28.0)
 _LIGHT = np.array([-0.45, 0.65, 0.61])  # right, up, towards the viewer
 _SECTORS = 4  # of longitude, in two shades, so that the turning about the axis is seen
@@ -45,7 +45,7 @@ _SHADES = ("#3f8fc0", "#d8e6ef")
 
 
 @dataclass(frozen=True)
-class Motion:
+class Frames:
     """A trajectory at the instants of the frames.
 
     times (F,), position (F, 3), orientation (F, 4), and all the path of the axis: its times (n,)
@@ -64,7 +64,7 @@ class Motion:
         result: ResultLike,
         frames: int | None = None,
         window: tuple[float, float] | None = None,
-    ) -> Motion:
+    ) -> Frames:
         """The motion at `frames` even instants of the window of time, the whole by default.
 
         Without a number of frames there are `FRAMES_PER_TURN` for each turn of the axis, within
@@ -129,10 +129,10 @@ def _palette() -> list[int]:
     return np.rint(255.0 * colors).astype(int).ravel().tolist()
 
 
-class Scene:
+class View:
     """The body seen from the moving camera; `show` puts it at a frame."""
 
-    def __init__(self, axes: Axes, motion: Motion, aspect_ratio: float, camera: Camera) -> None:
+    def __init__(self, axes: Axes, motion: Frames, aspect_ratio: float, camera: Camera) -> None:
         """Draw everything once, at the first frame."""
         from matplotlib.collections import PolyCollection
 
@@ -336,13 +336,13 @@ def animate(
 
     Raises CaseError and ResultFileError where the file does not hold what is needed.
     """
-    motion = Motion.of(result, frames, window)
+    motion = Frames.of(result, frames, window)
     k = aspect_ratio(result)
     beside = moves(result)
     width = 2.0 * _SIDE if beside else _SIDE
     with style.styled():
         figure = _blank(width)
-        scene = Scene(figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, k, camera)
+        scene = View(figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, k, camera)
         place = _place_beside(figure, result, motion) if beside else None
 
     def show(frame: int) -> None:
@@ -360,7 +360,7 @@ def _blank(width: float) -> Figure:
     return figure
 
 
-def _place_beside(figure: Figure, result: ResultLike, motion: Motion) -> Callable[[int], None]:
+def _place_beside(figure: Figure, result: ResultLike, motion: Frames) -> Callable[[int], None]:
     """The path of the centre beside the scene; returns what moves the dot on it.
 
     The panel does not change, so it is drawn once and put in as a picture.

@@ -105,7 +105,7 @@ Part = tuple[Simulation, Indices, Indices]
 def compute_block(
     scenes: Sequence[Simulation],
     times: Array,
-    fields: tuple[str, ...],
+    quantities: tuple[str, ...],
     discard: float,
     workshop: Workshop,
     pushed: bool,
@@ -119,7 +119,7 @@ def compute_block(
     n = sum(len(scene) for scene in scenes)
     result = BlockResult(
         {name: np.full(n, np.nan) for name in COLUMNS},
-        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in fields},
+        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in quantities},
         times,
     )
     parts: list[Part] = []

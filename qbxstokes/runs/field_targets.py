@@ -1,4 +1,4 @@
-"""Points at which a field is wanted: grids by formula, block by block, and lists from files."""
+"""Points at which a field is wanted: grids by formula, piece by piece, and lists from files."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 class Targets:
     """A set of points: its name, frame, shape of the grid (n,) to (n1, n2, n3), and points.
 
-    block(begin, end) gives the points (end - begin, 3) in the frame of the set, last index of the
+    points(begin, end) gives the points (end - begin, 3) in the frame of the set, last index of the
     grid fastest. parameters: what describes the grid in the result.
     """
 
     name: str
     frame: str
     shape: tuple[int, ...]
-    block: Callable[[int, int], Array]
+    points: Callable[[int, int], Array]
     parameters: dict[str, Array]
 
     @property
@@ -37,7 +37,7 @@ class Targets:
 
     def in_space(self, begin: int, end: int, position: Array, rotation: Array) -> Array:
         """Points (end - begin, 3) in space for a body at the position with the rotation (3, 3)."""
-        points = self.block(begin, end)
+        points = self.points(begin, end)
         if self.frame == "space":
             return points
         return (points @ rotation.T if self.frame == "body" else points) + position
@@ -92,7 +92,7 @@ def plane_targets(plane: Plane) -> Targets:
     a = np.linspace(plane.extent[0], plane.extent[1], plane.shape[0])
     b = np.linspace(plane.extent[2], plane.extent[3], plane.shape[1])
 
-    def block(begin: int, end: int) -> Array:
+    def points(begin: int, end: int) -> Array:
         i, j = np.unravel_index(np.arange(begin, end), plane.shape)
         return origin + a[i][:, None] * first + b[j][:, None] * second
 
@@ -103,18 +103,18 @@ def plane_targets(plane: Plane) -> Targets:
         "first": first,
         "second": second,
     }
-    return Targets("plane", plane.frame, plane.shape, block, parameters)
+    return Targets("plane", plane.frame, plane.shape, points, parameters)
 
 
 def _box(box: Box) -> Targets:
     axes = [np.linspace(*ends) for ends in zip(box.lower, box.upper, box.shape, strict=True)]
 
-    def block(begin: int, end: int) -> Array:
+    def points(begin: int, end: int) -> Array:
         index = np.unravel_index(np.arange(begin, end), box.shape)
         return np.stack([axis[i] for axis, i in zip(axes, index, strict=True)], axis=-1)
 
     names = ("x1", "x2", "x3")
-    return Targets("box", box.frame, box.shape, block, dict(zip(names, axes, strict=True)))
+    return Targets("box", box.frame, box.shape, points, dict(zip(names, axes, strict=True)))
 
 
 def surface_angles(shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -129,13 +129,13 @@ def _shells(shells: Shells, spheroid: Spheroid) -> Targets:
     distances = np.array(shells.distances)
     shape = (len(distances), *shells.shape)
 
-    def block(begin: int, end: int) -> Array:
+    def points(begin: int, end: int) -> Array:
         d, i, j = np.unravel_index(np.arange(begin, end), shape)
         foot, normal = spheroid.surface(theta[i], phi[j]), spheroid.normal(theta[i], phi[j])
         return foot + distances[d][:, None] * normal
 
     parameters = {"distance": distances, "theta": theta, "phi": phi}
-    return Targets("shells", "body", shape, block, parameters)
+    return Targets("shells", "body", shape, points, parameters)
 
 
 def _listed(loaded: LoadedCase, section: Points) -> Targets:

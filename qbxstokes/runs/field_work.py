@@ -1,6 +1,6 @@
 """The work of a field: what is to be evaluated at which instant, shared out to all ranks.
 
-The work is cut into tasks: a block of points of one set at one instant, the traction, the
+The work is cut into tasks: a piece of points of one set at one instant, the traction, the
 streamlines, some points of the check. Every rank takes the next task as it becomes free; what is
 finished is gathered (runs/gathering.py), made safe every half minute, and written by rank 0. Tasks
 do not depend on the number of ranks, and neither does any number; a run that is resumed does those
@@ -31,9 +31,9 @@ from qbxstokes.simulation.around import Instant
 
 Array = NDArray[np.float64]
 
-# Points of a block: what a rank holds in memory besides the table. A set of few points is cut into
-# so many blocks that some ranks find work.
-BLOCK, FEWEST_BLOCKS, SMALLEST_BLOCK = 32_768, 16, 1024
+# Points of a piece: what a rank holds in memory besides the table. A set of few points is cut into
+# so many pieces that some ranks find work.
+PIECE, FEWEST_PIECES, SMALLEST_PIECE = 32_768, 16, 1024
 # Points of the check that needs no grid, and those of one task.
 FEW, CHECKED_AT_ONCE = 6, 2
 
@@ -165,17 +165,17 @@ class FieldWork:
             if self.section.surface is not None:
                 tasks.append(Task("surface", index))
             for number, target in enumerate(self.flow.targets):
-                share = max(SMALLEST_BLOCK, -(-target.size // FEWEST_BLOCKS))
+                share = max(SMALLEST_PIECE, -(-target.size // FEWEST_PIECES))
                 tasks += [
                     Task("points", index, number, begin, end)
-                    for begin, end in store.blocks(target.size, min(BLOCK, share))
+                    for begin, end in store.pieces(target.size, min(PIECE, share))
                 ]
         # Lines alone: the slip on the surface is wanted all the same.
         return tasks or [Task("check", len(self.instants) - 1)]
 
     def _checks(self, index: int) -> list[Task]:
         def cut(kind: Kind, size: int) -> list[Task]:
-            pieces = store.blocks(size, CHECKED_AT_ONCE)
+            pieces = store.pieces(size, CHECKED_AT_ONCE)
             return [Task(kind, index, 0, begin, end) for begin, end in pieces]
 
         tasks = cut("check", min(self.section.check, FEW))
@@ -257,7 +257,7 @@ class FieldWork:
         return target.in_space(begin, end, instant.position, instant.rotation)
 
     def _evaluated(self, task: Task, found: Found) -> dict[str, Array]:
-        """The quantities of a block of points."""
+        """The quantities of a piece of points."""
         section, target = self.section, self.flow.targets[task.target]
         points = self._points(target, task.begin, task.end, task.instant)
         with_stress = "stress" in section.quantities

@@ -104,7 +104,7 @@ def _conclude(
     """Samples, comparison, field and summary into the result file."""
     case = loaded.case
     with clock.part("output"):
-        samples = recording.write(writer, plan.fields)
+        samples = recording.write(writer, plan.quantities)
     times = samples["time"]
     summary["samples"] = recording.samples
     if len(times):

@@ -27,7 +27,7 @@ class Plan:
 
     simulation: Simulation
     times: Array
-    fields: tuple[str, ...]
+    quantities: tuple[str, ...]
     needs: tuple[str, ...]
     skips: tuple[str, ...] = field(default=())
 
@@ -39,7 +39,7 @@ class Plan:
     @property
     def bytes_on_disk(self) -> int:
         """Size of the samples in the result file."""
-        numbers = 1 + sum(MOTION[name].size for name in self.fields)
+        numbers = 1 + sum(MOTION[name].size for name in self.quantities)
         return 8 * numbers * len(self.times)
 
 
@@ -55,18 +55,18 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> Plan:
     scene = simulation_of(loaded)
     # Elsewhere an orbit constant would be a number without meaning.
     simple = scene.frame.simple
-    fields = tuple(name for name in MOTION if simple or name != "orbit_constant")
+    quantities = tuple(name for name in MOTION if simple or name != "orbit_constant")
     if case.output.fields is not None:
         for index, name in enumerate(case.output.fields):
-            if name not in fields:
+            if name not in quantities:
                 raise loaded.error(
                     ("output", "fields", index),
                     f"{name} exists in a simple shear only, which the flow at the start is not",
                     "leave it out",
                 )
-        fields = tuple(dict.fromkeys(case.output.fields))
+        quantities = tuple(dict.fromkeys(case.output.fields))
     needs, skips = _work(case, scene.kind, loaded.flow.degree, scene.need(pushed).completion)
-    return Plan(scene, times, fields, needs, skips)
+    return Plan(scene, times, quantities, needs, skips)
 
 
 def subject_to_forces(case: Case) -> bool:

@@ -192,7 +192,7 @@ class Recording:
             yield from ((name, rows) for name, rows in arrays.items() if name != "state")
         yield from self._waiting
 
-    def write(self, writer: ResultWriter, fields: Iterable[str]) -> dict[str, Array]:
+    def write(self, writer: ResultWriter, quantities: Iterable[str]) -> dict[str, Array]:
         """All rows into the result; returns the samples, thinned if they are many, by name.
 
         `largest_orbit_drift` is the largest |C/C0 - 1| of all samples.
@@ -212,7 +212,7 @@ class Recording:
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
             data = split_columns(rows, _COLUMNS)
-            writer.append({"time": data["time"], **{key: data[key] for key in fields}})
+            writer.append({"time": data["time"], **{key: data[key] for key in quantities}})
             first = rows[0, constant] if first is None else first
             drift = max(drift, float(orbit_drift(rows[:, constant], first)))
             index = np.arange(seen, seen + len(rows))
@@ -227,10 +227,10 @@ class Recording:
         return self.start is not None and told_by(path, "run") == self._run
 
 
-def _joined(blocks: Iterable[tuple[str, Array]], most: float) -> Iterator[tuple[str, Array]]:
-    """The blocks of each name joined into pieces of about `most` bytes."""
+def _joined(pieces: Iterable[tuple[str, Array]], most: float) -> Iterator[tuple[str, Array]]:
+    """The pieces of each name joined into larger ones of about `most` bytes."""
     waiting: dict[str, list[Array]] = {}
-    for name, rows in blocks:
+    for name, rows in pieces:
         pile = waiting.setdefault(name, [])
         pile.append(rows)
         if sum(part.nbytes for part in pile) > most:

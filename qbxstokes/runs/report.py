@@ -45,7 +45,7 @@ def headline(title: str, name: str) -> str:
     return f"{title}{' ' * gap}{name}" if gap >= 2 else f"{title}\n{name}"
 
 
-def block(heading: str, rows: Rows) -> str:
+def section(heading: str, rows: Rows) -> str:
     """A heading and its rows: label, then text wrapped beside it; nothing if there are no rows."""
     rows = list(rows)
     column = min(_WIDEST, max([_LABEL, *(len(label) + 2 for label, _ in rows)]))
@@ -62,9 +62,9 @@ def block(heading: str, rows: Rows) -> str:
     return "\n".join([heading, *lines]) if lines else ""
 
 
-def render(title: str, name: str, blocks: Mapping[str, Rows]) -> str:
-    """The headline and all blocks that hold something."""
-    parts = [block(heading, rows) for heading, rows in blocks.items()]
+def render(title: str, name: str, sections: Mapping[str, Rows]) -> str:
+    """The headline and all sections that hold something."""
+    parts = [section(heading, rows) for heading, rows in sections.items()]
     return "\n".join([headline(title, name), *(part for part in parts if part)])
 
 
@@ -154,7 +154,7 @@ def describe_result(result: Result) -> str:
         for name, data in result.arrays.items()
     ]
     simple = (str, int, float)
-    blocks: dict[str, Rows] = {
+    sections: dict[str, Rows] = {
         "Holds": datasets,
         "Summary": list(_leaves(result.summary)),
         "Made by": [
@@ -163,7 +163,7 @@ def describe_result(result: Result) -> str:
             if isinstance(value, simple) and "\n" not in str(value) and len(str(value)) < 300
         ],
     }
-    text = render(made.get("title") or f"Result of task {result.task}", str(result.path), blocks)
+    text = render(made.get("title") or f"Result of task {result.task}", str(result.path), sections)
     if "case" in made:
         text += "\nCase\n" + textwrap.indent(str(made["case"]).rstrip(), "  ")
     return text

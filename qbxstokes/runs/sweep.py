@@ -182,7 +182,7 @@ def layout_of(scenes: Scenes) -> store.Layout:
     columns: list[tuple[str, Any]] = [*coordinates.items()]
     columns += [("status", "i1"), *((name, "f8") for name in COLUMNS)]
     columns += [("reason", f"S{store.REASON_LENGTH}")]
-    fields = scenes.scene(0).plan.fields if case.sweep.store == "samples" else ()
+    quantities = scenes.scene(0).plan.quantities if case.sweep.store == "samples" else ()
     swept = {
         name: PARAMETER.get(name) or Quantity(name, "", "", f"swept value {name}")
         for name in coordinates
@@ -191,7 +191,7 @@ def layout_of(scenes: Scenes) -> store.Layout:
         scenes.space.size,
         scenes.samples,
         np.dtype(columns),
-        fields,
+        quantities,
         scenes.common_times,
         tuple(coordinates),
         {**swept, **STATUS, **COLUMNS},
@@ -300,9 +300,9 @@ def _coordinates(scenes: Scenes, layout: store.Layout) -> Iterator[tuple[int, di
                 **{name: values.astype(layout.dtype[name]) for name, values in columns.items()},
             },
         )
-    if layout.fields and layout.times is not None:
+    if layout.quantities and layout.times is not None:
         yield 0, {"time": layout.times}
-    elif layout.fields:
+    elif layout.quantities:
         yield 0, {"sample": np.arange(layout.samples)}
 
 
@@ -520,7 +520,7 @@ class _Computer:
         result = block.compute_block(
             simulations,
             times,
-            layout.fields,
+            layout.quantities,
             sweep.discard,
             self._workshop,
             scenes.pushed,
@@ -540,10 +540,10 @@ class _Computer:
             table["status"][i] = store.FAILED
             table["reason"][i] = reason.encode("ascii", "replace")[: store.REASON_LENGTH]
         rows = {"table": table}
-        for name in layout.fields:
+        for name in layout.quantities:
             rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
             rows[name][:well] = result.quantities[name]
-        if layout.fields and layout.times is None:
+        if layout.quantities and layout.times is None:
             rows["time"] = np.tile(result.times, (n, 1))
         if lost:  # in the order of the block, in which its rows are checked
             asked = np.concatenate([members for _, members in pieces])

@@ -29,7 +29,7 @@ def _range(column: Any) -> str:
 def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:
     """What will run, how many, memory, disk and time."""
     sizes = scenes.block_sizes()
-    stored = ", ".join(layout.fields) if layout.fields else "the table of summaries alone"
+    stored = ", ".join(layout.quantities) if layout.quantities else "the table of summaries alone"
     count = counted(scenes.space.size, "trajectory", "trajectories")
     shape = " x ".join(str(n) for n in scenes.space.shape)
     bodies = len(scenes.bodies[1])

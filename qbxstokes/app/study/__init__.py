@@ -21,7 +21,5 @@ MAKERS: dict[str, str] = {
         "quadratic_flow",
         "acceleration",
         "lateral_drift",
-        "qbx_parameters",
-        "qbx_aspect_ratios",
     )
 }

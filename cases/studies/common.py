@@ -1,0 +1,116 @@
+"""What the studies share: tables, figures, the command line; schemes of uniform quadrature.
+
+A script of this folder has `main(small)`, which prints its tables in Markdown, writes them as CSV
+files and its figure as PDF and PNG into the current folder, and returns the numbers that its text
+promises. `python SCRIPT --small` is a short form of a few seconds, which the tests run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import qbxstokes as qs
+from qbxstokes.plots import style
+from qbxstokes.qbx.operator import UniformScheme
+
+Array = Any
+
+
+class Table:
+    """Rows of plain values: `table[name]` is a column, `where` the rows with given values."""
+
+    def __init__(self, name: str, about: str, rows: Sequence[dict[str, Any]] = ()) -> None:
+        """name: that of the CSV file; about: what the columns are and in which units."""
+        self.name, self.about, self.rows = name, about, list(rows)
+
+    def add(self, **row: Any) -> None:
+        """Append a row."""
+        self.rows.append(row)
+
+    def __getitem__(self, column: str) -> Array:
+        """A column as an array."""
+        return np.array([row[column] for row in self.rows])
+
+    def where(self, **values: Any) -> Table:
+        """The rows with these values."""
+        chosen = [row for row in self.rows if all(row[n] == v for n, v in values.items())]
+        return Table(self.name, self.about, chosen)
+
+    def write(self) -> None:
+        """Write NAME.csv into the current folder; `about` is a comment in its first line."""
+        with Path(f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            file.write(f"# {self.about}\n")
+            writer = csv.DictWriter(file, list(self.rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.rows)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table."""
+    print(f"\n| {' | '.join(head)} |\n{'|---' * len(head)}|")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+
+
+@contextmanager
+def figure(name: str, width: float, height: float) -> Iterator[Any]:
+    """A figure of this size in inches, written as NAME.pdf and NAME.png at the end of the block."""
+    with style.styled():
+        drawn = style.new_figure(width, height)
+        yield drawn
+        style.lay_out(drawn)
+        for kind in ("pdf", "png"):
+            style.save(drawn, Path(f"{name}.{kind}"), 200.0, 64)
+
+
+def command(main: Callable[[bool], dict[str, float]]) -> None:
+    """Run `main` from the command line, and print the numbers that it returns."""
+    parser = argparse.ArgumentParser(description=(main.__globals__["__doc__"] or "").split("\n")[0])
+    parser.add_argument("--small", action="store_true", help="the short form, a few seconds")
+    found = main(parser.parse_args().small)
+    print()
+    for name, value in found.items():
+        print(f"{name}: {value:.3g}")
+
+
+# -- quadrature -----------------------------------------------------------------------------------
+
+PLACE = (0.3, 2.0, -0.5)
+
+
+def every_term() -> Any:
+    """Shear with a paraboloid on top: every term of the laws up to second order counts at PLACE."""
+    hessian = np.zeros((3, 3, 3))
+    hessian[0, 1, 1] = hessian[0, 2, 2] = 0.5
+    gradient = [[0.2, 1.0, 0.0], [0.0, -0.1, 0.3], [0.1, 0.0, -0.1]]
+    return qs.flow("polynomial", gradient=gradient, hessian=hessian.tolist())
+
+
+def power(value: float, decimals: int = 1) -> str:
+    """A number and a power of ten: 1.7e-4."""
+    mantissa, _, exponent = f"{value:.{decimals}e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def uniform(k: float, n_theta: int, order: int, r_over_h: float, upsampling: int) -> UniformScheme:
+    """The scheme of the thesis with n_phi = k n_theta, at least enough for the modes in use."""
+    n_phi = max(8, 2 * round(0.5 * k * n_theta))
+    return UniformScheme(n_theta, n_phi, order, r_over_h, upsampling)
+
+
+def largest_ratio(k: float, n_theta: int) -> float:
+    """The largest admissible r/h: k^2 n_theta/(2 pi), or n_theta/(2 pi k) for k > 1."""
+    return min(k * k, 1.0 / k) * n_theta / (2.0 * np.pi)
+
+
+def work(scheme: UniformScheme) -> float:
+    """Source nodes times targets times orders: what the set-up of a uniform scheme takes."""
+    sources = scheme.upsampling**2 * scheme.n_theta * scheme.n_phi / 2
+    return sources * scheme.n_theta * (scheme.expansion_order + 1)
