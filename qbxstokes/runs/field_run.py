@@ -12,6 +12,7 @@ from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.field import FieldPlan, plan_field, run_field
+from qbxstokes.runs.gathering import seconds_between
 from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.report import (
@@ -49,6 +50,7 @@ def run_field_case(job: Job) -> int:
     PETSc, record = start_petsc(comm, loaded, job.petsc, clock)
     overwrite = options.overwrite or loaded.case.output.overwrite
     identity = identity_of(loaded, [])
+    seconds_between(loaded)
     own: list[Work] = []
 
     def opened() -> tuple[Any, Path | None]:

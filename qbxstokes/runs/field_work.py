@@ -104,10 +104,12 @@ class FieldWork:
     def __init__(
         self, comm: Any, flow: FieldFlow, instants: list[Instant], work: Work, key: str = ""
     ) -> None:
+        interval = flow.loaded.case.checkpoint.interval
+        every = interval.number if interval.unit == "seconds" else 30.0
         self.comm, self.flow, self.instants = comm, flow, instants
         self.section, self.clock, self._key = flow.section, flow.clock, key
         self.plane = next((t for t in flow.targets if t.name == "plane"), None)
-        self._gathering = Gathering(comm, work, FIELD, most=MOST)
+        self._gathering = Gathering(comm, work, FIELD, every=every, most=MOST)
 
     def write(self, writer: ResultWriter | None) -> dict[str, Any]:
         """Evaluate everything; writer: the open result file of rank 0, None on the others.

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.store import DamagedPart, Work, read_part
 
 Array = NDArray[Any]
 Item = tuple[dict[str, Array], dict[str, Any]]
 
-# Seconds of work that may be lost with a process, and bytes that are kept in memory at most.
-EVERY, MOST = 30.0, 64 * 2**20
+# Bytes that are kept in memory at most.
+MOST = 64 * 2**20
 _TAG = 77
 
 
@@ -38,7 +39,7 @@ class Gathering:
         work: Work,
         kind: str,
         joined: bool = False,
-        every: float = EVERY,
+        every: float = 30.0,
         most: int = MOST,
     ) -> None:
         self._comm, self.work, self._kind, self._joined = comm, work, kind, joined
@@ -85,6 +86,15 @@ class Gathering:
         yield from self._items
         for rank in range(1, self._comm.size):
             yield from self._comm.recv(source=rank, tag=_TAG)
+
+
+def seconds_between(loaded: LoadedCase) -> float:
+    """How often a rank makes safe what it has: the section `checkpoint`, in seconds here."""
+    interval = loaded.case.checkpoint.interval
+    if interval.unit != "seconds":
+        right = "an interval of wall time, such as 30 s"
+        raise loaded.error("checkpoint.every", f"counts {interval.unit} of a single motion", right)
+    return interval.number
 
 
 def notes(work: Work, kind: str) -> Iterator[dict[str, Any]]:

@@ -19,7 +19,7 @@ from qbxstokes.io.store import Work, holds_work, open_work, unwritable
 from qbxstokes.runs import handout
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
-from qbxstokes.runs.gathering import EVERY, Gathering
+from qbxstokes.runs.gathering import Gathering, seconds_between
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
@@ -103,6 +103,7 @@ def run_sweep(
     from qbxstokes.petsc import session
 
     scenes = Scenes(loaded)
+    seconds_between(loaded)
     layout = layout_of(scenes)
     identity = identity_of(
         loaded, session.stepper_options(session.start()), blocks=[scenes.block_size, scenes.blocks]
@@ -133,7 +134,7 @@ def _computed(
     """What is to be done, done by all ranks and merged by rank 0."""
     work = plan.joined(comm.rank) if comm.rank else opening.work
     assert work is not None
-    gathering = Gathering(comm, work, BLOCKS, joined=True, every=EVERY)
+    gathering = Gathering(comm, work, BLOCKS, joined=True, every=seconds_between(scenes.loaded))
     counters = HandOut(comm)
     speak = comm.rank == 0 and not options.quiet and options.progress != "none"
     begin = time.perf_counter()
