@@ -126,7 +126,8 @@ class Work:
 
     target: the result. writer: number of this process among those at work; the first holds the
     lock. run: how many runs have been at work here, this one included. identity: what the numbers
-    depend on. resumed: whether there is work of an earlier run.
+    depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be put
+    into the result that is there.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class Work:
     ) -> None:
         self.target, self.identity, self.run, self.writer = target, dict(identity), run, writer
         self.folder = parts_of(target)
-        self.resumed = run > 1
+        self.resumed, self.mends = run > 1, False
         self._lock: int | None = None
         self._count = 0
 
@@ -187,7 +188,8 @@ class Work:
 
     def note_run(self) -> None:
         """Write down what this run is: from now on it may be gone on with."""
-        text = json.dumps({"run": self.run, "identity": self.identity})
+        told = {"run": self.run, "identity": self.identity, "mends": self.mends}
+        text = json.dumps(told)
         try:
             write_whole(self.folder / RUN, text.encode())
         except OSError as error:
@@ -248,7 +250,11 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
     """What run.json says, None where there is none that can be read."""
     try:
         found = json.loads((folder / RUN).read_text())
-        return {"run": int(found["run"]), "identity": dict(found["identity"])}
+        return {
+            "run": int(found["run"]),
+            "identity": dict(found["identity"]),
+            "mends": bool(found["mends"]),
+        }
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -301,9 +307,10 @@ def _reopened(target: Path, wanted: dict[str, Any]) -> Work:
             f"{work.folder}: the run to go on with had another {other}; restore it, or begin anew "
             "with --overwrite"
         )
-    work.run, work.resumed = found["run"] + 1, True
+    work.run, work.resumed, work.mends = found["run"] + 1, True, found["mends"]
     for path in work.folder.glob(".*.part"):  # what a killed process was about to write
         path.unlink(missing_ok=True)
+    work.note_run()  # parts of every run have names of their own
     return work
 
 

@@ -197,18 +197,20 @@ class Opening:
             done = finished_result(self._scenes.loaded, self._identity)
         if done is None:
             work = open_work(asked, self._identity, resume=resume, overwrite=self.overwrite)
-            todo = todo_of(self._scenes, work)
+            if work.mends:
+                self.base = work.target
+            todo = todo_of(self._scenes, work, self.failures() if self.base else None)
         else:
-            todo = self.failures(done)
+            self.base = done
+            todo = self.failures()
             if not todo.mend:
                 return Work(done, {}, 1), todo, done
             work = open_work(done, self._identity, overwrite=True)
-            self.base = done
+            work.mends = True
         self.work = work
         try:
             store.check_room(work.target.parent, self._layout)
-            if self.base is None:
-                work.note_run()
+            work.note_run()
         except BaseException:
             self.close()
             raise
@@ -219,10 +221,11 @@ class Opening:
         if self.work is not None:
             self.work.close(remove=remove or not holds_work(self.work.folder))
 
-    def failures(self, path: Path) -> Todo:
-        """What a finished file leaves to do."""
+    def failures(self) -> Todo:
+        """What the finished result leaves to do."""
+        assert self.base is not None
         todo = Todo([])
-        with store.open_result(path, self._layout) as whole:
+        with store.open_result(self.base, self._layout) as whole:
             for number in range(self._scenes.blocks):
                 index = self._scenes.block(number).index
                 table = whole.read_table(index)
@@ -253,7 +256,7 @@ def _merged(
     try:
         with store.create(path, layout, provenance, scales_of(scenes, layout)) as whole:
             if opening.base is not None:
-                found = opening.failures(opening.base)
+                found = opening.failures()
                 with store.open_result(opening.base, layout) as old:
                     for number in range(scenes.blocks):
                         index = scenes.block(number).index

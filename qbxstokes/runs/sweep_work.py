@@ -69,10 +69,13 @@ class Todo:
             self.totals[name] = self.totals.get(name, 0.0) + value
 
 
-def todo_of(scenes: Scenes, work: Work | None) -> Todo:
-    """What is left to do of a sweep, by the parts of earlier runs."""
-    todo = Todo(list(range(scenes.blocks)))
-    if work is None or not work.resumed:
+def todo_of(scenes: Scenes, work: Work, base: Todo | None) -> Todo:
+    """What is left to do of a sweep, by the parts of earlier runs.
+
+    base: what a finished result leaves to do, where failures of it are mended.
+    """
+    todo = base or Todo(list(range(scenes.blocks)))
+    if not work.resumed:
         return todo
     for note in notes(work, BLOCKS):
         todo.learn(note)
