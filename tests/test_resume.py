@@ -17,8 +17,6 @@ import pytest
 from conftest import ENVIRONMENT, Run
 
 from qbxstokes import load
-from qbxstokes.errors import CaseError
-from qbxstokes.io.checkpoint import Journal, unfinished
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {
@@ -32,52 +30,20 @@ CASE: dict[str, Any] = {
 }
 
 
-def test_journal_keeps_what_its_checkpoint_covers(tmp_path: Path) -> None:
-    target = tmp_path / "a.h5"
-    journal = Journal(target)
-    journal.append("rows", np.arange(6.0).reshape(2, 3))
-    assert not journal.folder.exists()  # nothing is on disk until it must be
-    journal.save({"step": 1})
-    journal.append("rows", np.ones((1, 3)))
-    journal._flush()  # as a killed process leaves it: rows beyond the checkpoint
-    with pytest.raises(CaseError, match="another process"):
-        Journal.reopened(target)
-    journal.close()
-    assert unfinished([target]) == target
-    again, checkpoint = Journal.reopened(target)
-    assert checkpoint["step"] == 1
-    again.append("rows", np.zeros((1, 3)))
-    joined = np.concatenate([rows for _, rows in again.pieces()])
-    np.testing.assert_array_equal(joined, [[0, 1, 2], [3, 4, 5], [0, 0, 0]])
-    again.close(remove=True)
-    assert not again.folder.exists()
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"{}", b"[1, 2]", b"null", b"\0\xff", None])
-@pytest.mark.parametrize("name", ["rows.bin", "checkpoint.json"])
-def test_a_damaged_working_folder_is_refused(
-    name: str, content: bytes | None, tmp_path: Path
+def test_a_damaged_checkpoint_is_refused(
+    run_cli: Run, write_case: WriteCase, tmp_path: Path
 ) -> None:
-    journal = Journal(tmp_path / "a.h5")
-    journal.append("rows", np.arange(600.0).reshape(200, 3))
-    journal.save({"step": 1})
-    journal.close()
-    path = journal.folder / name
-    whole = path.read_bytes()
-    for data in (content, whole[:-1], whole[: len(whole) // 2], whole[1:]):
-        path.unlink(missing_ok=True)
-        if data is not None:
-            path.write_bytes(data)
-        with pytest.raises(CaseError, match=r"no checkpoint to go on from .*--overwrite"):
-            Journal.reopened(journal.target)
-    path.write_bytes(whole)
-    again, _ = Journal.reopened(journal.target)
-    again.append("rows", np.ones((1, 3)))
-    again.save({"step": 2})
-    again.close()
-    last, checkpoint = Journal.reopened(journal.target)
-    assert (checkpoint["step"], len(list(last.pieces()))) == (2, 2)
-    last.close()
+    write_case(CASE | {"time": CASE["time"] | {"periods": 200}})
+    stop_at_random(tmp_path, signal.SIGKILL, random.Random(3))
+    last = sorted((tmp_path / "killed.h5.parts").glob("rows-*.h5"))[-1]
+    whole = last.read_bytes()
+    for data in (b"", b"{}", whole[: len(whole) // 2], whole[1:]):
+        last.write_bytes(data)
+        done = run_cli("case.yaml", "--resume", "--set", "output.file=killed.h5")
+        assert done.returncode == 2
+        assert "no checkpoint to go on from" in done.stderr
+        assert "--overwrite" in done.stderr
+        assert done.stderr.count("\n") == 1
 
 
 def same(one: Path, other: Path) -> None:
@@ -103,11 +69,11 @@ def start(folder: Path) -> subprocess.Popen[str]:
 
 def stop_at_random(folder: Path, number: int, rng: random.Random) -> str:
     """Start or go on, and send a signal some time after a new checkpoint; '' if it was done."""
-    mark = folder / "killed.h5.parts" / "checkpoint.json"
-    before = mark.stat().st_mtime_ns if mark.exists() else 0
+    parts = folder / "killed.h5.parts"
+    before = len(list(parts.glob("rows-*")))
     process = start(folder)
     while process.poll() is None:
-        if mark.exists() and mark.stat().st_mtime_ns != before:
+        if len(list(parts.glob("rows-*"))) > before:
             break
         time.sleep(1e-3)
     time.sleep(rng.uniform(0.0, 0.1))

@@ -23,7 +23,10 @@ from qbxstokes.case.space import column_name, parse_key
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.io.sweep import parts_of, read_journals, runs
+from qbxstokes.io import store
+from qbxstokes.io.names import parts_of
+from qbxstokes.io.store import holds_work, read_part
+from qbxstokes.io.sweep import runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.quantities import MOTION
 from qbxstokes.reference import inertial, jeffery
@@ -417,23 +420,32 @@ class Stop(Exception):
     """Stands for the end of the process."""
 
 
+# A part after every block.
+OFTEN = {"every": "1e-6 s"}
+
+
 def stopped_after(monkeypatch: pytest.MonkeyPatch, path: Path, blocks: int) -> None:
-    """Run the sweep and end it in the middle of writing a block."""
-    from qbxstokes.io import sweep as store
+    """Run the sweep and end it after some blocks."""
+    from qbxstokes.runs import block
 
-    write_rows, count = store.WholeFile.write_rows, [0]
+    compute, count = block.compute_block, [0]
 
-    def limited(self: Any, rows: Any, arrays: Any) -> int:
+    def limited(*arguments: Any) -> Any:
         count[0] += 1
         if count[0] > blocks:
-            half = {name: np.zeros_like(array) for name, array in arrays.items()}
-            write_rows(self, rows, half)
             raise Stop
-        return write_rows(self, rows, arrays)
+        return compute(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(store.WholeFile, "write_rows", limited)
+        patch.setattr(block, "compute_block", limited)
         assert run_command([str(path), "--progress", "none"]) == 1
+
+
+def kept_blocks(folder: Path) -> list[int]:
+    found = []
+    for part in sorted(folder.glob("blocks-*.h5")):
+        found += [note["block"] for note in read_part(part, [])[1]["items"]]
+    return found
 
 
 def test_a_stopped_sweep_goes_on_where_it_was(
@@ -442,41 +454,104 @@ def test_a_stopped_sweep_goes_on_where_it_was(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    path = write({"body.stokes_number": [0, 1]}, RANDOM, sweep={"block": 2})
+    axes = {"body.stokes_number": [0, 1]}, RANDOM
+    path = write(*axes, sweep={"block": 2}, checkpoint=OFTEN)
     assert run_command([str(path), "--quiet"]) == 0
     (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
     stopped_after(monkeypatch, path, 4)
     folder = parts_of(tmp_path / "case.h5")
-    assert len(read_journals(folder).blocks) == 4
+    assert len(kept_blocks(folder)) == 4
     assert run_command([str(path)]) == 2
     assert "--resume" in capfd.readouterr().err
-    # A torn line, a damaged block, and another sweep than the one that was begun.
-    journal = next(folder.glob("journal-*"))
-    journal.write_bytes(journal.read_bytes()[:-9])
-    changed = write({"body.stokes_number": [0, 1]}, RANDOM, sweep={"block": 3})
+    changed = write(*axes, sweep={"block": 3}, checkpoint=OFTEN)
     assert run_command([str(changed), "--resume"]) == 2
-    assert "another sweep" in capfd.readouterr().err
-    path = write({"body.stokes_number": [0, 1]}, RANDOM, sweep={"block": 2})
-    for name in ("data.h5", "layout.json"):
-        whole = (folder / name).read_bytes()
-        for damaged in (b"", b"{}", b"[1, 2]", whole[:-1], whole[:100], whole[1:]):
-            (folder / name).write_bytes(damaged)
-            assert run_command([str(path), "--resume"]) == 2
-            told = capfd.readouterr().err
-            assert "--overwrite" in told
-            assert told.count("\n") == 1
-        (folder / name).write_bytes(whole)
-    with h5py.File(folder / "data.h5") as file:
-        offset = file["axis"].id.get_offset()
-    with (folder / "data.h5").open("r+b") as stream:
-        first = min(read_journals(folder).blocks)
-        stream.seek(offset + int(Scenes(load_case(path)).block(first).index[0]) * 21 * 24)
-        stream.write(b"damaged!")
+    assert "another sweep.block" in capfd.readouterr().err
+    path = write(*axes, sweep={"block": 2}, checkpoint=OFTEN)
+    for damaged in (b"", b"{}", b"[1, 2]", b"\0\xff"):
+        whole = (folder / "run.json").read_bytes()
+        (folder / "run.json").write_bytes(damaged)
+        assert not holds_work(folder)
+        (folder / "run.json").write_bytes(whole)
+    # Parts that are torn or damaged are as if they were not there.
+    parts = sorted(folder.glob("blocks-*.h5"))
+    parts[0].write_bytes(parts[0].read_bytes()[:-900])
+    parts[1].write_bytes(b"")
     assert run_command([str(path), "--resume", "--progress", "none"]) == 0
     assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
     assert not folder.exists()
     assert run_command([str(path), "--resume"]) == 0
     assert "complete, nothing to resume" in capfd.readouterr().out
+
+
+def test_a_block_in_work_goes_on_from_its_state(
+    write: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One long block, cut often, ended in its midst again and again: the same bits."""
+    from qbxstokes.runs import block
+    from qbxstokes.simulation import assembly
+
+    monkeypatch.setattr(assembly.Assembled, "_cut_steps", 25)
+    path = write(RANDOM, {"body.stokes_number": [1, 2]}, checkpoint=OFTEN)
+    assert run_command([str(path), "--quiet"]) == 0
+    (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
+    save, count = block._Integration.save, [0]
+    steps: list[int] = []
+
+    def limited(self: Any) -> None:
+        save(self)
+        assert self.begun is not None
+        steps.append(self.begun[1].steps)
+        count[0] += 1
+        if count[0] % 3 == 0:
+            raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(block._Integration, "save", limited)
+        stops = 0
+        while run_command([str(path), "--resume", "--progress", "none"]) != 0:
+            stops += 1
+    assert stops >= 3
+    assert steps == sorted(steps)  # each went on where the last one was
+    assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
+    assert not parts_of(tmp_path / "case.h5").exists()
+
+
+def test_a_mixed_block_of_which_some_fail_goes_on_from_its_halves(
+    write: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    from qbxstokes.errors import ConvergenceError
+    from qbxstokes.petsc import stepper
+    from qbxstokes.runs import block
+
+    path = write({"body.stokes_number": [1, 2, 3, 4]}, RANDOM, checkpoint=OFTEN)
+    integrate = stepper.integrate
+
+    def failing(equations: Any, *arguments: Any, **options: Any) -> Any:
+        if np.any(equations.stokes_number == 3):
+            raise ConvergenceError("steps grew too small")
+        return integrate(equations, *arguments, **options)
+
+    monkeypatch.setattr(stepper, "integrate", failing)
+    assert run_command([str(path), "--quiet"]) == 1
+    (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
+    summarise, count = block._Integration._summarise, [0]
+
+    def limited(self: Any, *arguments: Any) -> None:
+        summarise(self, *arguments)
+        count[0] += 1
+        if count[0] == 2:
+            self.save()
+            raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(block._Integration, "_summarise", limited)
+        assert run_command([str(path), "--progress", "none"]) == 1
+    assert run_command([str(path), "--resume", "--quiet"]) == 1
+    assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
+    assert "steps grew too small" in capfd.readouterr().err
 
 
 def test_failures_are_told_and_mended(
@@ -518,16 +593,13 @@ def test_a_full_disk_is_told_before_anything_is_computed(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = write(RANDOM)
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+    usage = shutil.disk_usage(path)
     with monkeypatch.context() as patch:
-        patch.setattr(os, "posix_fallocate", full)
+        patch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1000))
         assert run_command([str(path), "--progress", "none"]) == 1
     told = capfd.readouterr().err
-    assert "case.h5: cannot be written (No space left on device)" in told
-    assert "--resume" in told
+    assert "0.001 MB are free" in told
+    assert not parts_of(path.parent / "case.h5").exists()
     assert run_command([str(path), "--resume", "--quiet"]) == 0
 
 
@@ -537,24 +609,36 @@ def test_a_disk_that_fills_up_keeps_what_is_there(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    path = write(RANDOM, sweep={"block": 1})
+    path = write(RANDOM, sweep={"block": 1}, checkpoint=OFTEN)
     assert run_command([str(path), "--quiet"]) == 0
     (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
-    pwrite, count = os.pwrite, [0]
+    pwrite, whole, count = os.pwrite, store.write_whole, [0, 0]
 
     def filling(descriptor: int, data: Any, offset: int) -> int:
         count[0] += 1
-        if count[0] > 70:
+        if count[0] > 20:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         part = len(data) // 2 + 1 if count[0] % 2 else len(data)  # short writes, too
         return pwrite(descriptor, data[:part], offset)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", filling)
+    def full(path: Path, data: Any) -> None:
+        count[1] += 1
+        if count[1] > 4:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        whole(path, data)
+
+    folder = parts_of(tmp_path / "case.h5")
+    with monkeypatch.context() as patch:  # in the midst of the work
+        patch.setattr(store, "write_whole", full)
         assert run_command([str(path), "--progress", "none"]) == 1
     assert "No space left on device" in capfd.readouterr().err
-    kept = read_journals(parts_of(tmp_path / "case.h5")).blocks
-    assert 0 < len(kept) < 6
+    assert 0 < len(kept_blocks(folder)) < 6
+    with monkeypatch.context() as patch:  # while the result is put together
+        patch.setattr(os, "pwrite", filling)
+        assert run_command([str(path), "--resume", "--progress", "none"]) == 1
+    told = capfd.readouterr().err
+    assert "No space left on device" in told
+    assert "--resume" in told
     assert run_command([str(path), "--resume", "--quiet"]) == 0
     assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
 
@@ -566,11 +650,13 @@ def test_rows_are_written_in_stretches() -> None:
 def test_overwrite_begins_anew(write: Callable[..., Path], tmp_path: Path) -> None:
     path = write(RANDOM)
     assert run_command([str(path), "--quiet"]) == 0
-    folder = parts_of(tmp_path / "case.h5")
-    folder.mkdir()
-    shutil.copy(path, folder / "layout.json")
     assert run_command([str(path), "--quiet"]) == 0
     assert (tmp_path / "case-1.h5").exists()
+    folder = parts_of(tmp_path / "case.h5")
+    folder.mkdir()
+    shutil.copy(path, folder / "blocks-0001-00000-000001.h5")
+    (folder / "run.json").write_text('{"run": 1, "identity": {}}')
+    assert run_command([str(path), "--quiet"]) == 2
     assert run_command([str(path), "--quiet", "--overwrite"]) == 0
     assert not folder.exists()
 

@@ -48,7 +48,7 @@ FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
     },
     "field": {
         **{(name,): _ONE_INSTANT for name in ("constraints", "time", "events")},
-        **{(name,): _ONE_INSTANT for name in ("checkpoint", "sweep")},
+        ("sweep",): _ONE_INSTANT,
         **{("field", name): "leave it out" for name in ("every", "at")},
         ("forces",): "give field.force and field.torque",
         ("start", "velocity"): "give field.velocity, with field.body: moving",

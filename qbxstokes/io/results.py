@@ -80,3 +80,22 @@ def load(path: str | Path) -> Result:
         reason = " ".join(str(error).split())
         raise ResultFileError(f"{path}: is damaged or truncated ({reason})") from None
     return Result(path, header, arrays, attributes, groups, tables)
+
+
+def told_by(path: Path, name: str, complete: bool = False) -> str | None:
+    """An attribute of a result's provenance, None where there is none.
+
+    complete: of a result that is whole alone.
+    """
+    if not path.exists():
+        return None
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if complete and not file["summary"].attrs["complete"]:
+                return None
+            held = file["provenance"]
+            return str(held.attrs[name] if name in held.attrs else held[name].asstr()[()])
+    except (OSError, KeyError):
+        return None

@@ -222,7 +222,7 @@ class Run:
             late = ts.getStepNumber() >= cut or t >= self.checkpoint.time + chunk_time
             # BDF starts anew at low order after a cut, which some hundred steps must repay.
             young = self._system.method == "bdf" and (
-                ts.getStepNumber() < self.checkpoint.steps + BDF_STEPS
+                ts.getStepNumber() < self.checkpoint.steps + min(BDF_STEPS, 3 * chunk_steps)
                 and len(samples) < BDF_SAMPLES
             )
             due = (len(samples) >= chunk_samples or late) and not young

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.diagnostics import orbit_axis
-from qbxstokes.petsc.trajectory import Trajectory
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import COLUMNS, MOTION
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.assembly import Assembled, assemble
@@ -98,6 +98,19 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     return rotation.from_axis(orbit_axis(case.body.aspect_ratio, *parts))
 
 
+class Keeper(Protocol):
+    """Where the state of a block in work is kept, so that a run that is killed loses little."""
+
+    def late(self, ahead: float) -> bool:
+        """Whether the state is to be saved now, the next chance being so many seconds ahead."""
+
+    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        """Make the state safe."""
+
+    def load(self) -> tuple[dict[str, Array], dict[str, Any]] | None:
+        """The state that an earlier run has left of this block, None without one."""
+
+
 # Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.
 Part = tuple[Simulation, Indices, Indices]
 
@@ -110,11 +123,13 @@ def compute_block(
     workshop: Workshop,
     pushed: bool,
     poke: Callable[[], bool],
+    keeper: Keeper,
 ) -> BlockResult:
     """Integrate the lanes of all scenes together and summarise them, scene after scene.
 
     Those that fail are told and left out: a block that cannot be integrated is halved until what
-    fails stands alone. pushed: see `assemble`. poke: called at every step.
+    fails stands alone. pushed: see `assemble`. poke: called at every step; where it says stop, the
+    state is saved, and the result is not whole.
     """
     n = sum(len(scene) for scene in scenes)
     result = BlockResult(
@@ -128,7 +143,9 @@ def compute_block(
         lanes = _sound(scene, first, result)
         parts.append((scene, lanes, first + lanes))
         first += len(scene)
-    _Integration(times, discard, workshop, pushed, poke, result).compute(parts)
+    integration = _Integration(times, discard, workshop, pushed, poke, keeper, result)
+    integration.restore()
+    integration.compute(parts)
     return result
 
 
@@ -151,53 +168,138 @@ def _sound(scene: Simulation, first: int, result: BlockResult) -> Indices:
 
 @dataclass
 class _Integration:
-    """Fills the results of a block."""
+    """Fills the results of a block, attempt after attempt: all lanes, or halves of what failed.
+
+    An attempt is known by its first and last row. ended: how attempts of this run and of the one
+    that it goes on with ended, "done" or "halved". begun: the attempt that a state is kept of, with
+    its checkpoint, samples and seconds so far.
+    """
 
     times: Array
     discard: float
     workshop: Workshop
     pushed: bool
     poke: Callable[[], bool]
+    keeper: Keeper
     result: BlockResult
+    ended: dict[str, str] = field(default_factory=dict)
+    begun: tuple[str, Checkpoint, Array, float] | None = None
+    stopped: bool = False
 
     def compute(self, parts: list[Part]) -> None:
         """Integrate and summarise some lanes, halving on failure."""
         parts = [part for part in parts if len(part[1])]
-        if not parts:
+        if not parts or self.stopped:
             return
-        begin = clock.perf_counter()
         rows = np.concatenate([row for _, _, row in parts])
-        try:
-            assembled = assemble(
-                [scene.at(lanes) for scene, lanes, _ in parts],
-                self.workshop,
-                checked=True,
-                pushed=self.pushed,
-                evaluation="compiled",  # a sweep repays the import, however small its blocks
-            )
-            trajectory = assembled.trajectory(
-                self.times, chunk_samples=len(self.times) + 1, interrupted=self.poke
-            )
-            if trajectory.refusal or trajectory.failure:
-                raise ConvergenceError(trajectory.refusal or trajectory.failure)
-            if not np.isfinite(trajectory.states).all():
-                raise ConvergenceError("the state is not finite")
-        except (ConvergenceError, FlowError, SceneError, ArithmeticError) as error:
-            if len(rows) == 1:
-                self.result.failed[int(rows[0])] = " ".join(str(error).split())
-                return
-            for half in _halves(parts, len(rows) // 2):
-                self.compute(half)
+        name = f"{rows[0]}-{rows[-1]}"
+        if self.ended.get(name) == "done":
             return
+        if self.ended.get(name) != "halved":
+            try:
+                self._attempt(name, parts, rows)
+                return
+            except (ConvergenceError, FlowError, SceneError, ArithmeticError) as error:
+                if len(rows) == 1:
+                    self.result.failed[int(rows[0])] = " ".join(str(error).split())
+                    self.ended[name] = "done"
+                    return
+            self.ended[name] = "halved"
+        for half in _halves(parts, len(rows) // 2):
+            self.compute(half)
+
+    def _attempt(self, name: str, parts: list[Part], rows: Indices) -> None:
+        """One integration of all the lanes; raises what makes it fail."""
+        begin = clock.perf_counter()
+        assembled = assemble(
+            [scene.at(lanes) for scene, lanes, _ in parts],
+            self.workshop,
+            checked=True,
+            pushed=self.pushed,
+            evaluation="compiled",  # a sweep repays the import, however small its blocks
+        )
+        kept: list[Array] = []
+        start, spent = None, 0.0
+        if self.begun is not None and self.begun[0] == name:
+            _, start, states, spent = self.begun
+            kept.append(states)
+        cut = clock.perf_counter()
+
+        def receive(chunk: Chunk) -> None:
+            nonlocal cut
+            kept.append(chunk.states)
+            now = clock.perf_counter()
+            ahead, cut = now - cut, now
+            self.begun = (name, chunk.checkpoint, np.concatenate(kept), spent + now - begin)
+            if self.keeper.late(ahead) and chunk.checkpoint.next_sample < len(self.times):
+                self.save()
+
+        trajectory = assembled.trajectory(
+            self.times, start, on_chunk=receive, interrupted=self.poke
+        )
+        if not trajectory.finished:
+            self.stopped = True
+            self.save()
+            return
+        if trajectory.refusal or trajectory.failure:
+            raise ConvergenceError(trajectory.refusal or trajectory.failure)
+        states = np.concatenate(kept)
+        if not np.isfinite(states).all():
+            raise ConvergenceError("the state is not finite")
         self.result.steps += trajectory.steps * len(rows)
         self.result.evaluations += trajectory.evaluations * len(rows)
-        self._summarise(assembled, trajectory, rows)
-        self.result.summary["wall_time"][rows] = (clock.perf_counter() - begin) / len(rows)
+        self._summarise(assembled, trajectory.checkpoint, states, rows)
+        self.ended[name], self.begun = "done", None
+        seconds = spent + clock.perf_counter() - begin
+        self.result.summary["wall_time"][rows] = seconds / len(rows)
 
-    def _summarise(self, assembled: Assembled, trajectory: Trajectory, rows: Indices) -> None:
+    # -- the state of a block in work ---------------------------------------------------------
+
+    def save(self) -> None:
+        """Keep what is finished of the block, and where the present attempt is."""
+        arrays: dict[str, Array] = {}
+        note: dict[str, Any] = {"ended": self.ended, "begun": None}
+        if self.begun is not None:
+            name, checkpoint, states, seconds = self.begun
+            numbers = {**vars(checkpoint)}
+            arrays = {"state": numbers.pop("state"), "states": states}
+            note["begun"] = {"name": name, "checkpoint": numbers, "seconds": seconds}
+        if "done" in self.ended.values():
+            result = self.result
+            arrays |= {f"summary|{name}": values for name, values in result.summary.items()}
+            arrays |= {f"quantity|{name}": values for name, values in result.quantities.items()}
+            note["failed"] = {str(row): reason for row, reason in result.failed.items()}
+            note["totals"] = [result.steps, result.evaluations]
+        self.keeper.save(arrays, note)
+
+    def restore(self) -> None:
+        """Take up what an earlier run has kept."""
+        found = self.keeper.load()
+        if found is None:
+            return
+        arrays, note = found
+        self.ended = dict(note["ended"])
+        if note["begun"] is not None:
+            told = note["begun"]
+            checkpoint = Checkpoint(**{**told["checkpoint"], "state": arrays["state"]})
+            self.begun = (told["name"], checkpoint, arrays["states"], told["seconds"])
+        if "totals" in note:
+            result = self.result
+            for name, values in arrays.items():
+                kind, _, key = name.partition("|")
+                if kind == "summary":
+                    result.summary[key] = values
+                elif kind == "quantity":
+                    result.quantities[key] = values
+            result.failed = {int(row): reason for row, reason in note["failed"].items()}
+            result.steps, result.evaluations = note["totals"]
+
+    def _summarise(
+        self, assembled: Assembled, end: Checkpoint, states: Array, rows: Indices
+    ) -> None:
         """Quantities, averages and final states of integrated lanes."""
         result, times = self.result, self.times
-        samples = assembled.observe(times, trajectory.states, tuple(result.quantities))
+        samples = assembled.observe(times, states, tuple(result.quantities))
         for name, array in result.quantities.items():
             array[rows] = samples[name].swapaxes(0, 1)
         table = result.summary
@@ -210,12 +312,12 @@ class _Integration:
         for name in ("position", "velocity", "angular_velocity"):
             for i in range(3):
                 table[f"final_{name}_{i + 1}"][rows] = samples[name][-1][:, i]
-        last = rotation.normalize(trajectory.states[-1, :, 3:7])
+        last = rotation.normalize(states[-1, :, 3:7])
         for i in range(4):
             table[f"final_orientation_{i}"][rows] = last[:, i]
         table["end"][rows] = float(times[-1])
-        table["steps"][rows] = trajectory.steps
-        table["rhs_evaluations"][rows] = trajectory.evaluations
+        table["steps"][rows] = end.steps
+        table["rhs_evaluations"][rows] = end.evaluations
         estimates = assembled.error_estimates(float(times[-1]))
         for lanes, scene, estimate in zip(
             assembled.slices(), assembled.parts, estimates, strict=True

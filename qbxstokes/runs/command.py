@@ -140,14 +140,18 @@ def run_motion_case(job: Job) -> int:
         recording = Recording(
             loaded,
             plan,
-            job.target,
             session.stepper_options(PETSc),
             options.resume,
             options.overwrite or loaded.case.output.overwrite,
         )
         if recording.finished is not None:
             return {"result": str(recording.finished), "finished_before": True}
-        return run_motion(loaded, plan, job.clock, record, recording, interruption, workshop, team)
+        try:
+            return run_motion(
+                loaded, plan, job.clock, record, recording, interruption, workshop, team
+            )
+        finally:
+            recording.close()
 
     def help_with_field(*arguments: Any) -> None:
         from qbxstokes.runs import field

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.field import Disturbance
+from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
+from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.field_flow import FieldFlow
@@ -69,12 +72,15 @@ def run_field(
     comm: Any,
     loaded: LoadedCase,
     plan: FieldPlan,
-    target: Path,
+    folder: Work,
     clock: Clock,
     provenance: Mapping[str, Any],
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Compute the field on all ranks; rank 0 writes the file. Returns the summary."""
+    """Compute the field on all ranks; rank 0 writes the file. Returns the summary.
+
+    folder: the working folder, held by rank 0.
+    """
     case = loaded.case
     section = case.field
     assert section is not None
@@ -89,7 +95,8 @@ def run_field(
         np.array(section.torque),
     )
     flow = FieldFlow(comm, loaded, section, clock)
-    work = FieldWork(comm, flow, [instant])
+    work = FieldWork(comm, flow, [instant], folder)
+    target = folder.target
     if comm.rank != 0:
         work.write(None)
         return {}
@@ -162,6 +169,7 @@ def field_of_motion(
     writer: ResultWriter,
     assembled: Assembled,
     team: RowTeam | None,
+    folder: Work,
 ) -> dict[str, Any]:
     """The field at the chosen instants of a motion, into its open result file; for rank 0.
 
@@ -180,20 +188,24 @@ def field_of_motion(
         )
         for index in chosen_instants(loaded, times)
     ]
-    comm = ALONE if team is None else team.join(FIELD, instants)
+    key = json.dumps(plain(section.model_dump()))
+    comm = ALONE if team is None else team.join(FIELD, instants, folder.joined(0), key)
     flow = FieldFlow(comm, loaded, section, clock)
-    facts = FieldWork(comm, flow, instants).write(writer)
+    facts = FieldWork(comm, flow, instants, folder, key).write(writer)
     if section.tracers is not None:
         paths = flow.moving_tracers(assembled.equations, assembled.initial, float(times[-1]))
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 
 
-def help_with_field(comm: Any, loaded: LoadedCase, clock: Clock, instants: list[Instant]) -> None:
+def help_with_field(
+    comm: Any, loaded: LoadedCase, clock: Clock, instants: list[Instant], folder: Work, key: str
+) -> None:
     """What the other ranks do for `field_of_motion`."""
     section = loaded.case.field
     assert section is not None
-    FieldWork(comm, FieldFlow(comm, loaded, section, clock), instants).write(None)
+    flow = FieldFlow(comm, loaded, section, clock)
+    FieldWork(comm, flow, instants, folder.joined(comm.rank), key).write(None)
 
 
 def export_field(loaded: LoadedCase, clock: Clock, file: Any, output: Path) -> list[str]:

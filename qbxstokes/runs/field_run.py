@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
+from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.field import FieldPlan, plan_field, run_field
+from qbxstokes.runs.gathering import seconds_between
+from qbxstokes.runs.identity import finished_result, identity_of
+from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -44,8 +48,33 @@ def run_field_case(job: Job) -> int:
     from qbxstokes.runs.provenance import start_petsc
 
     PETSc, record = start_petsc(comm, loaded, job.petsc, clock)
-    with compilation_told(comm, not options.quiet):
-        summary = run_field(comm, loaded, plan, job.target, clock, record, options.overwrite)
+    overwrite = options.overwrite or loaded.case.output.overwrite
+    identity = identity_of(loaded, [])
+    seconds_between(loaded)
+    own: list[Work] = []
+
+    def opened() -> tuple[Any, Path | None]:
+        done = None if overwrite or not options.resume else finished_result(loaded, identity)
+        if done is None:
+            own.append(
+                open_work(result_path(loaded), identity, resume=options.resume, overwrite=overwrite)
+            )
+            own[0].note_run()
+        return (own[0].joined(0) if own else None), done
+
+    folder, done = on_root(comm, opened)
+    if done is not None:
+        if comm.rank == 0 and not options.quiet:
+            print(f"{done}: finished already, nothing to resume")
+        return 0
+    try:
+        with compilation_told(comm, not options.quiet):
+            folder = own[0] if own else folder.joined(comm.rank)
+            summary = run_field(comm, loaded, plan, folder, clock, record, overwrite)
+    except BaseException:
+        folder.close(remove=not holds_work(folder.folder) and comm.rank == 0)
+        raise
+    folder.close(remove=comm.rank == 0)
     unused = session.unused_options(PETSc)
     error = comm.bcast(summary.get("largest_error"))
     if comm.rank == 0:

@@ -1,29 +1,30 @@
 """The work of a field: what is to be evaluated at which instant, shared out to all ranks.
 
 The work is cut into tasks: a piece of points of one set at one instant, the traction, the
-streamlines, some points of the check. Every rank takes the next task as it becomes free and writes
-pieces of points straight into the file (io/places.py), so that none of them passes through another
-rank; only what is small is sent to rank 0. Tasks do not depend on the number of ranks, and neither
-does any number.
+streamlines, some points of the check. Every rank takes the next task as it becomes free; what is
+finished is gathered (runs/gathering.py), made safe every half minute, and written by rank 0. Tasks
+do not depend on the number of ranks, and neither does any number; a run that is resumed does those
+that no part holds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import astuple, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.field import INSIDE, SOURCES
-from qbxstokes.errors import ConvergenceError, OutputError, QbxStokesError
+from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
+from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs import handout
 from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import Targets, surface_angles
+from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.parallel import agree, on_root
 from qbxstokes.simulation.around import Instant
@@ -35,6 +36,9 @@ Array = NDArray[np.float64]
 PIECE, FEWEST_PIECES, SMALLEST_PIECE = 32_768, 16, 1024
 # Points of the check that needs no grid, and those of one task.
 FEW, CHECKED_AT_ONCE = 6, 2
+
+# Parts of a field in a working folder, and bytes of them that a rank keeps in memory.
+FIELD, MOST = "field", 256 * 2**20
 
 Kind = Literal["check", "error map", "streamlines", "surface", "points"]
 # Parts of the clock.
@@ -60,11 +64,10 @@ class Task:
 
 @dataclass
 class Found:
-    """What a rank has to tell rank 0.
+    """What a rank has to tell rank 0 besides arrays.
 
     slip: largest error on the surface, relative. difference: largest one between table and QBX.
     counts: points by source, first those inside. solves: iterations and true residual by instant.
-    whole: arrays by kind and place in the whole. failure: what stopped the rank.
     """
 
     slip: float = 0.0
@@ -73,17 +76,40 @@ class Found:
         default_factory=lambda: np.zeros(len(SOURCES) + 1, dtype=np.int64)
     )
     solves: dict[int, tuple[int, float]] = field(default_factory=dict)
-    whole: dict[tuple[Kind, int], Any] = field(default_factory=dict)
-    failure: QbxStokesError | None = None
+
+    def note(self) -> dict[str, Any]:
+        """All of it as plain data."""
+        return {
+            "slip": self.slip,
+            "difference": self.difference,
+            "counts": self.counts.tolist(),
+            "solves": {str(number): list(solve) for number, solve in self.solves.items()},
+        }
+
+    def join(self, note: Mapping[str, Any]) -> None:
+        """Add what another rank, or an earlier run, has told."""
+        self.slip = max(self.slip, note["slip"])
+        self.difference = max(self.difference, note["difference"])
+        self.counts += np.array(note["counts"])
+        self.solves |= {int(number): tuple(solve) for number, solve in note["solves"].items()}
 
 
 class FieldWork:
-    """Evaluates a field on all ranks of a communicator and puts it into the file of rank 0."""
+    """Evaluates a field on all ranks of a communicator, for rank 0 to put into its file.
 
-    def __init__(self, comm: Any, flow: FieldFlow, instants: list[Instant]) -> None:
+    work: the working folder, held by rank 0. key: what tells this field from another one of the
+    same run.
+    """
+
+    def __init__(
+        self, comm: Any, flow: FieldFlow, instants: list[Instant], work: Work, key: str = ""
+    ) -> None:
+        interval = flow.loaded.case.checkpoint.interval
+        every = interval.number if interval.unit == "seconds" else 30.0
         self.comm, self.flow, self.instants = comm, flow, instants
-        self.section, self.clock = flow.section, flow.clock
+        self.section, self.clock, self._key = flow.section, flow.clock, key
         self.plane = next((t for t in flow.targets if t.name == "plane"), None)
+        self._gathering = Gathering(comm, work, FIELD, every=every, most=MOST)
 
     def write(self, writer: ResultWriter | None) -> dict[str, Any]:
         """Evaluate everything; writer: the open result file of rank 0, None on the others.
@@ -92,23 +118,43 @@ class FieldWork:
         raised on all ranks.
         """
         self.flow.form(self.instants[0])
-        found = self._share_out(*on_root(self.comm, lambda: self._lay_out(writer)))
-        everything = [found] if self.comm.size == 1 else self.comm.gather(found)
+        done = on_root(self.comm, self._finished)
+        self._share_out(set(done))
         if writer is None:
+            list(self._gathering.collect())
             return {}
-        return self._conclude(writer.file[store.GROUP], everything)
+        group = self._lay_out(writer)
+        whole: dict[tuple[str, int], Any] = {}
+        found = Found()
+        with self.clock.part("output"):
+            for arrays, note in self._gathering.collect():
+                if note["key"] != self._key:
+                    continue
+                found.join(note["found"])
+                task = Task(*note["task"])
+                if task.kind == "points":
+                    name = self.flow.targets[task.target].name
+                    store.put_rows(group[name], task.instant, task.begin, arrays)
+                elif arrays:
+                    place = task.begin if task.kind == "error map" else task.instant
+                    whole[task.kind, place] = arrays
+        return self._conclude(group, whole, found)
 
-    def _lay_out(self, writer: ResultWriter | None) -> tuple[Path, Path, dict[str, int]]:
-        """On rank 0: the group with room for all points; the result, its file, and places in it."""
-        assert writer is not None
+    def _finished(self) -> list[int]:
+        """Numbers of the tasks that parts of earlier runs hold."""
+        kept = notes(self._gathering.work, FIELD)
+        return [note["number"] for note in kept if note["key"] == self._key]
+
+    def _lay_out(self, writer: ResultWriter) -> Any:
+        """On rank 0: the group with room for all points."""
         times = np.array([instant.time for instant in self.instants])
         sets = {target.name: target.shape for target in self.flow.targets}
-        places = store.create(writer.file, times, sets, list(self.section.quantities))
+        store.create(writer.file, times, sets, list(self.section.quantities))
         group = writer.file[store.GROUP]
         for target in self.flow.targets:
             store.put_arrays(group, target.name, target.parameters, {"frame": target.frame})
         writer.claim()
-        return writer.path, writer.temporary.resolve(), places
+        return group
 
     def tasks(self) -> list[Task]:
         """All tasks, at each instant the dear ones first."""
@@ -153,67 +199,67 @@ class FieldWork:
 
     # -- on every rank ------------------------------------------------------------------------
 
-    def _share_out(self, result: Path, path: Path, places: Mapping[str, int]) -> Found:
+    def _share_out(self, done: set[int]) -> None:
         """Do tasks until none is left; an error of any rank ends the work of all."""
-        found, tasks = Found(), self.tasks()
+        tasks, failure = self.tasks(), None
         counters = HandOut(self.comm)
+        told: set[int] = set()
         try:
-            sizes = {target.name: target.size for target in self.flow.targets}
-            rows = store.FieldRows(path, places, sizes)
             while (number := counters.next(handout.BLOCKS)) < len(tasks):
-                self._do(tasks[number], rows, found)
-            rows.close()
+                if number in done:
+                    continue
+                found = Found()
+                arrays = self._do(tasks[number], found, told)
+                task = astuple(tasks[number])
+                note = {"key": self._key, "number": number, "task": task, "found": found.note()}
+                self._gathering.add(arrays, note)
         except QbxStokesError as error:
-            found.failure = error
-        except OSError as error:
-            reason = error.strerror or str(error)
-            found.failure = OutputError(f"{result}: cannot be written ({reason})")
-        if found.failure is not None:
+            failure = error
+        if failure is not None:
             counters.add(handout.BLOCKS, len(tasks))
         with self.clock.part("waiting"):
             counters.wait()
         counters.close()
-        agree(self.comm, found.failure)
-        return found
+        agree(self.comm, failure)
 
-    def _do(self, task: Task, rows: store.FieldRows, found: Found) -> None:
+    def _do(self, task: Task, found: Found, told: set[int]) -> dict[str, Array]:
+        """The arrays of a task; told: instants whose solution this rank has told of."""
         around = self.flow.around(self.instants[task.instant])
         disturbance = around.disturbance
-        if task.instant not in found.solves:
+        if task.instant not in told:
+            told.add(task.instant)
             with self.clock.part("table"):
                 slip = disturbance.boundary_error / (disturbance.scale or 1.0)
             self._require(slip)
-            found.slip = max(found.slip, slip)
+            found.slip = slip
             found.solves[task.instant] = self.flow.last_solve()
         with self.clock.part(_PARTS[task.kind]):
             if task.kind == "points":
-                self._put_points(task, rows, found)
-            elif task.kind == "surface":
+                return self._evaluated(task, found)
+            if task.kind == "surface":
                 assert self.section.surface is not None
-                angles = surface_angles(self.section.surface.shape)
-                found.whole["surface", task.instant] = around.surface(*angles)
-            elif task.kind == "streamlines":
-                lines = self.flow.streamlines(self.instants[task.instant])
-                found.whole["streamlines", task.instant] = lines
-            elif task.kind == "check":
+                return dict(around.surface(*surface_angles(self.section.surface.shape)))
+            if task.kind == "streamlines":
+                return {"points": self.flow.streamlines(self.instants[task.instant])}
+            if task.kind == "check":
                 if task.begin < task.end:
                     points = disturbance.check_points(min(self.section.check, FEW))
                     errors = disturbance.differences(points[task.begin : task.end])
-                    found.difference = max(found.difference, float(errors.max()))
-            else:
-                assert self.plane is not None
-                points = self._points(self.plane, 0, self.plane.size, task.instant)
-                points = points[self._mapped[task.begin : task.end]]
-                errors = disturbance.differences(around.to_body(points))
-                found.whole["error map", task.begin] = points, errors
-                found.difference = max(found.difference, float(np.nanmax(errors, initial=0.0)))
+                    found.difference = float(errors.max())
+                return {}
+            assert self.plane is not None
+            points = self._points(self.plane, 0, self.plane.size, task.instant)
+            points = points[self._mapped[task.begin : task.end]]
+            errors = disturbance.differences(around.to_body(points))
+            found.difference = float(np.nanmax(errors, initial=0.0))
+            return {"points": points, "error": errors}
 
     def _points(self, target: Targets, begin: int, end: int, index: int) -> Array:
         instant = self.instants[index]
         return target.in_space(begin, end, instant.position, instant.rotation)
 
-    def _put_points(self, task: Task, rows: store.FieldRows, found: Found) -> None:
-        """Evaluate a piece of points and write it."""
+    def _evaluated(self, task: Task, found: Found) -> dict[str, Array]:
+        """The quantities of a piece of points."""
         section, target = self.section, self.flow.targets[task.target]
         points = self._points(target, task.begin, task.end, task.instant)
         with_stress = "stress" in section.quantities
@@ -223,8 +269,7 @@ class FieldWork:
         source = values["source"]
         found.counts += np.bincount(source + 1, minlength=len(found.counts))
         kept: dict[str, Any] = {name: values[name] for name in section.quantities}
-        kept |= {"points": points, "inside": source == INSIDE, "source": source}
-        rows.put(target.name, task.instant, task.begin, kept)
+        return kept | {"points": points, "inside": source == INSIDE, "source": source}
 
     def _require(self, error: float) -> None:
         """Refuse a table that misses the tolerance where nothing else may replace it."""
@@ -237,13 +282,10 @@ class FieldWork:
 
     # -- on rank 0 ----------------------------------------------------------------------------
 
-    def _conclude(self, group: Any, everything: list[Found]) -> dict[str, Any]:
-        """Write what was sent, and sum up."""
-        whole: dict[tuple[Kind, int], Any] = {}
-        solves: dict[int, tuple[int, float]] = {}
-        for found in everything:
-            whole |= found.whole
-            solves |= found.solves
+    def _conclude(
+        self, group: Any, whole: Mapping[tuple[str, int], Any], found: Found
+    ) -> dict[str, Any]:
+        """Write what is there once an instant or less, and sum up."""
 
         def collected(kind: Kind) -> list[Any]:
             return [whole[key] for key in sorted(key for key in whole if key[0] == kind)]
@@ -260,26 +302,28 @@ class FieldWork:
             arrays["pressure"] = arrays["pressure"][..., 0]
             store.put_arrays(group, "surface", arrays, {"shape": np.array(shape)})
         if lines:
-            store.put_arrays(group, "streamlines", {"points": np.stack(lines)}, {})
+            points = np.stack([part["points"] for part in lines])
+            store.put_arrays(group, "streamlines", {"points": points}, {})
         if errors:
-            points, differences = (np.concatenate(part) for part in zip(*errors, strict=True))
-            arrays = {"index": self._mapped, "points": points, "error": differences}
+            arrays = {
+                "index": self._mapped,
+                **{n: np.concatenate([part[n] for part in errors]) for n in ("points", "error")},
+            }
             store.put_arrays(group, "error", arrays, {})
-        counts = sum(found.counts for found in everything)
-        largest = {"no slip": max(found.slip for found in everything)}
+        largest = {"no slip": found.slip}
         if self.section.check:
-            largest["table against QBX"] = max(found.difference for found in everything)
-        iterations, residuals = zip(*solves.values(), strict=True)
+            largest["table against QBX"] = found.difference
+        iterations, residuals = zip(*found.solves.values(), strict=True)
         grid = self.flow.solution.operators.grid
         last = self.flow.around(self.instants[-1]).disturbance
         return {
             "errors": largest,
-            "points": dict(zip(("inside", *SOURCES), np.asarray(counts).tolist(), strict=True)),
+            "points": dict(zip(("inside", *SOURCES), found.counts.tolist(), strict=True)),
             "hydrodynamics": {
                 "n_theta": grid.n_theta,
                 "n_phi": grid.n_phi,
                 "degree_of_table": last.table.harmonics.degree,
-                "solves": len(solves),
+                "solves": len(found.solves),
                 "iterations": sum(iterations),
                 "true_residual": max(residuals),
             },

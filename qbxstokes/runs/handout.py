@@ -15,7 +15,7 @@ import numpy as np
 
 _POLL = 2e-3
 # Places in the window.
-MODELS, BLOCKS, DONE, FAILED, STEPS = range(5)
+MODELS, BLOCKS, DONE, FAILED, WORK = range(5)
 _PLACES = 5
 
 

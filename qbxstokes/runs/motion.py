@@ -65,12 +65,14 @@ def run_motion(
         if trajectory.refusal:
             events.ended = ("met_singularity", trajectory.refusal)
     if trajectory.failure and not trajectory.steps:  # there is nothing to keep
-        recording.journal.close(remove=True)
+        recording.close(remove=True)
         raise ConvergenceError(trajectory.failure)
     if not trajectory.finished:
         recording.save()
         if not recording.saved:
             raise _interrupted(recording, {}, interruption.signal)
+    if case.field is not None:
+        recording.save()  # a field may take longer than the motion
     summary = _facts(loaded, plan, assembled, trajectory, events, recording)
     replace = recording.overwrite or recording.replaces(recording.target)
     record = {**provenance, **recording.provenance}
@@ -80,7 +82,7 @@ def run_motion(
         from qbxstokes.runs.field import draw_pictures
 
         summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
-    recording.journal.close(remove=trajectory.finished)
+    recording.close(remove=trajectory.finished)
     if not trajectory.finished:
         raise _interrupted(recording, summary, interruption.signal)
     if trajectory.failure:
@@ -125,7 +127,9 @@ def _conclude(
     if case.field is not None and summary["complete"]:
         from qbxstokes.runs.field import export_field, field_of_motion
 
-        summary["field"] = field_of_motion(loaded, times, samples, clock, writer, assembled, team)
+        summary["field"] = field_of_motion(
+            loaded, times, samples, clock, writer, assembled, team, recording.work
+        )
         summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.target)
     with clock.part("output"):
         summary["wall_times"] = dict(clock.parts)

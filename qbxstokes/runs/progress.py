@@ -24,15 +24,21 @@ class Progress:
     """Tells how many of `total` are done; `update` may be called as often as one likes."""
 
     def __init__(
-        self, total: int, style: Style = "auto", ranks: int = 1, unit: str = "trajectories"
+        self,
+        total: int,
+        style: Style = "auto",
+        ranks: int = 1,
+        unit: str = "trajectories",
+        before: int = 0,
     ) -> None:
+        """before: how many were done when this run began."""
         if style == "auto":
             style = "bar" if ranks == 1 and sys.stderr.isatty() else "line"
         self._total, self._style, self._unit = total, style, unit
         self._begin = self._told = time.monotonic()
         self._interval = _LINE_INTERVALS[0] if style == "line" else _BAR_INTERVAL
         self._bar: Any = None
-        self._last = (0, 0)
+        self._last, self._before, self._share = (0, 0), before, 0.0
         if style == "bar":
             from tqdm import tqdm
 
@@ -43,9 +49,12 @@ class Progress:
         """Whether it is time to tell something new."""
         return self._style != "none" and time.monotonic() - self._told >= self._interval
 
-    def update(self, done: int, failed: int = 0) -> None:
-        """Tell the state, if the last time is long enough ago."""
-        self._last = (done, failed)
+    def update(self, done: int, failed: int = 0, share: float = 0.0) -> None:
+        """Tell the state, if the last time is long enough ago.
+
+        share: of the work that was to do at the start of this run, by what it costs.
+        """
+        self._last, self._share = (done, failed), share
         if self.due:
             self._tell(done, failed)
 
@@ -70,8 +79,11 @@ class Progress:
             return
         spent = self._told - self._begin
         finished = done + failed
-        rate = finished / spent if spent > 0 else 0.0
+        # Of this run alone: what an earlier one did says nothing of what is left.
+        rate = (finished - self._before) / spent if spent > 0 else 0.0
         left = (self._total - finished) / rate if rate > 0 else float("inf")
+        if self._share > 0.0:
+            left = spent * (1.0 - self._share) / self._share
         parts = [f"{finished} of {self._total} {self._unit} ({finished / max(self._total, 1):.1%})"]
         if rate > 0:
             parts.append(f"{rate:.4g}/s")

@@ -6,8 +6,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import islice
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,17 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.checkpoint import Journal, discard, identity_of, run_of, unfinished
-from qbxstokes.io.names import numbered
+from qbxstokes.io.results import told_by
+from qbxstokes.io.store import (
+    DamagedPart,
+    open_work,
+    read_part,
+)
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, TIME, of_event
+from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.target import result_path
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
@@ -30,32 +34,28 @@ from qbxstokes.simulation.watch import split_columns
 
 Array = NDArray[np.float64]
 
-SAMPLES = "samples"
+SAMPLES, ROWS = "samples", "rows"
 _COLUMNS = {"time": TIME, **MOTION}
-# Sections that may change between a run and its continuation: its numbers do not depend on them.
-_IRRELEVANT = ("title", "output", "compare", "checkpoint", "field", "sweep")
-# Names of results, with numbers, that are looked through for a run to go on with.
-_NUMBERED = 1000
 # Samples that are kept in memory for the comparison with a reference; thinned from there on.
 _KEPT = 20_000
-# Rows go to the result in pieces of this size (bytes).
-_PIECE = 2**21
+# Rows are kept in memory up to this size (bytes) before the disk is needed, and go to the result
+# in pieces of that size.
+_IN_MEMORY, _PIECE = 8 * 2**20, 2**21
 
 
 class Recording:
     """Rows and checkpoints of one motion.
 
-    start: where to begin, the checkpoint of an earlier run or None. target: the file the result is
-    for. An unfinished run of the same result is gone on with (`resume`), replaced (`overwrite`), or
-    refused with a CaseError. finished: the result of this very run, where there is nothing left to
-    go on with.
+    start: where to begin, the checkpoint of an earlier run or None. finished: the result of this
+    very run, where there is nothing left to go on with. work: the working folder, held from here
+    on; an unfinished run of the same result is gone on with (`resume`), replaced (`overwrite`), or
+    refused with a CaseError.
     """
 
     def __init__(
         self,
         loaded: LoadedCase,
         plan: Plan,
-        target: Path,
         options: list[str],
         resume: bool,
         overwrite: bool,
@@ -66,82 +66,53 @@ class Recording:
             raise loaded.error(
                 "checkpoint.every", "the flow turns no axis around", "seconds or steps instead"
             )
-        self._identity = self._identify(options)
+        # Cuts are part of the numbers; those by the clock only choose among them.
+        cuts = None if self._interval.unit == "seconds" else loaded.case.checkpoint.every
+        self.identity = identity_of(loaded, options, ("field", "sweep"), cuts=cuts)
         self.overwrite, self.samples = overwrite, 0
-        self.run, self.target = os.urandom(16).hex(), target
         self.start: Checkpoint | None = None
         self.resumed_at: float | None = None
-        self._state: dict[str, Any] | None = None
-        found, self.finished = None, None
-        if resume:
-            names = list(islice(numbered(result_path(loaded)), _NUMBERED))
-            found = unfinished(names)
-            if found is None and not overwrite:
-                self.finished = self._finished(names)
-        elif overwrite:
-            discard(target)
-        else:
-            left = unfinished(dict.fromkeys([result_path(loaded), target]))
-            if left is not None:
-                raise CaseError(
-                    f"{left}: an unfinished run is kept in {Journal(left).folder}; go on with "
-                    "--resume, or begin anew with --overwrite"
-                )
-        self.journal = Journal(target)
-        if found is not None:
-            self._reopen(found)
+        self.finished: Path | None = None
+        self._events: dict[str, Any] | None = None
+        self._waiting: list[tuple[str, Array]] = []
+        self._latest: dict[str, Any] | None = None
+        self._run = os.urandom(16).hex()
+        asked = result_path(loaded)
+        if resume and not overwrite:
+            self.finished = finished_result(loaded, self.identity)
+            if self.finished is not None:
+                return
+        self.work = open_work(asked, self.identity, resume=resume, overwrite=overwrite)
+        if self.work.resumed:
+            self._reopen()
         self._saved = (time.monotonic(), 0, 0.0)
         if self.start is not None:
             self._saved = (time.monotonic(), self.start.steps, self.start.time)
-        self._latest: dict[str, Any] | None = None
         self.saved = self.start is not None
 
-    def _identify(self, options: list[str]) -> dict[str, Any]:
-        """What a run and its continuation have in common."""
-        resolved = self._loaded.resolved()
-        kept = {key: value for key, value in resolved.items() if key not in _IRRELEVANT}
-        interval = self._interval
-        # Cuts are part of the numbers; those by the clock only choose among them.
-        cuts = None if interval.unit == "seconds" else self._loaded.case.checkpoint.every
-        return json.loads(json.dumps({**kept, "cuts": cuts, "options": options}))
-
-    def _reopen(self, found: Path) -> None:
-        self.journal, checkpoint = Journal.reopened(found)
-        other = _first_difference(checkpoint["identity"], self._identity)
-        if other is not None:
+    def _reopen(self) -> None:
+        """Go on from the checkpoint in the last part."""
+        try:
+            arrays, note = read_part(self.work.parts(ROWS)[-1], ["state"])
+            self.start = Checkpoint(**{**note["integrator"], "state": arrays["state"]})
+            self._events, self._run = note["events"], note["run"]
+        except (DamagedPart, OSError, IndexError, KeyError, TypeError) as error:
+            self.work.close()
             raise CaseError(
-                f"{self.journal.folder}: the run to go on with had another {other}; restore it, or "
-                "begin anew with --overwrite"
-            )
-        self.target, self.run = found, checkpoint["run"]
-        numbers = checkpoint["integrator"]
-        self.start = Checkpoint(**{**numbers, "state": np.array(numbers["state"])})
-        self._state, self.resumed_at = checkpoint["events"], self.start.time
+                f"{self.work.folder}: no checkpoint to go on from ({error}); begin anew with "
+                "--overwrite"
+            ) from None
+        self.resumed_at = self.start.time
 
-    def _finished(self, names: Iterable[Path]) -> Path | None:
-        """The result that an earlier run of this case has left, None without any result.
-
-        Raises CaseError where there are results of other cases alone.
-        """
-        other = ""
-        for path in names:
-            identity = identity_of(path)
-            if identity is None:
-                continue
-            difference = _first_difference(identity, self._identity)
-            if difference is None:
-                return path
-            other = other or f"{path}: is the result of a run with another {difference}"
-        if other:
-            raise CaseError(
-                f"{other}, and no unfinished run is left to go on with; leave out --resume"
-            )
-        return None
+    @property
+    def target(self) -> Path:
+        """The file the result is for."""
+        return self.work.target
 
     @property
     def provenance(self) -> dict[str, str]:
         """What a result says of the run it came from."""
-        return {"run": self.run, "identity": json.dumps(self._identity)}
+        return {"run": self._run, "identity": json.dumps(self.identity)}
 
     # -- while it runs ------------------------------------------------------------------------
 
@@ -158,30 +129,27 @@ class Recording:
 
     def receiver(self, assembled: Assembled, events: Events) -> Any:
         """The function that takes the integrator's chunks."""
-        if self._state is not None:
-            events.restore(self._state)
+        if self._events is not None:
+            events.restore(self._events)
 
         def receive(chunk: Chunk) -> None:
             if len(chunk.times):
                 found = assembled.observe(chunk.times, chunk.states, tuple(MOTION))
                 columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
-                self.journal.append(SAMPLES, rows)
-            for name, rows in events.take().items():
-                self.journal.append(name, rows)
-            numbers = {**vars(chunk.checkpoint), "state": chunk.checkpoint.state.tolist()}
-            self._latest = {
-                "run": self.run,
-                "identity": self._identity,
-                "integrator": numbers,
-                "events": events.state(),
-            }
+                self._waiting.append((SAMPLES, rows))
+            self._waiting += events.take().items()
+            numbers = {**vars(chunk.checkpoint)}
+            state = numbers.pop("state")
+            self._latest = {"integrator": numbers, "events": events.state(), "state": state}
             if chunk.checkpoint.next_sample < len(self._plan.times) and self._due(chunk):
                 self.save()
 
         return receive
 
     def _due(self, chunk: Chunk) -> bool:
+        if sum(rows.nbytes for _, rows in self._waiting) > _IN_MEMORY:
+            return True
         clock, steps, t = self._saved
         number, at = self._interval.number, chunk.checkpoint
         if self._interval.unit == "seconds":
@@ -191,28 +159,54 @@ class Recording:
         return at.time - t >= number * (self._plan.period or 0.0)
 
     def save(self) -> None:
-        """Make the run safe up to the last cut."""
+        """Make the run safe up to the last cut: its rows since the last save, and its state."""
         if self._latest is None:
             return
-        self.journal.save(self._latest)
+        if not self.saved:
+            self.work.note_run()
+        note = {name: self._latest[name] for name in ("integrator", "events")}
+        rows = dict(_joined(self._waiting, math.inf))
+        arrays = {**rows, "state": self._latest["state"]}
+        self.work.save(ROWS, arrays, {**note, "run": self._run})
+        self._waiting = []
         numbers = self._latest["integrator"]
         self._saved = (time.monotonic(), numbers["steps"], numbers["time"])
         self.saved = True
 
+    def close(self, remove: bool = False) -> None:
+        """Let go of the working folder; what is in it goes as well where nothing is to be kept."""
+        self.work.close(remove=remove or not self.saved)
+
     # -- at the end ---------------------------------------------------------------------------
+
+    def _rows(self) -> Iterator[tuple[str, Array]]:
+        """All rows by name, in their order."""
+        for path in self.work.parts(ROWS):
+            try:
+                arrays, _ = read_part(path)
+            except (DamagedPart, OSError) as error:
+                raise CaseError(
+                    f"{self.work.folder}: a part cannot be read ({error}); begin anew with "
+                    "--overwrite"
+                ) from None
+            yield from ((name, rows) for name, rows in arrays.items() if name != "state")
+        yield from self._waiting
 
     def write(self, writer: ResultWriter, quantities: Iterable[str]) -> dict[str, Array]:
         """All rows into the result; returns the samples, thinned if they are many, by name.
 
         `largest_orbit_drift` is the largest |C/C0 - 1| of all samples.
         """
-        total = sum(len(rows) for name, rows in self.journal.pieces() if name == SAMPLES)
+        if self._latest is not None:
+            total = int(self._latest["integrator"]["next_sample"])
+        else:
+            total = 0 if self.start is None else self.start.next_sample
         self.samples = total
         stride = max(1, -(-total // _KEPT))
         kept: list[Array] = []
         first, seen, drift = None, 0, 0.0
         constant = _place("orbit_constant")
-        for name, rows in _together(self.journal.pieces()):
+        for name, rows in _joined(self._rows(), _PIECE):
             if name != SAMPLES:
                 columns = of_event(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
@@ -224,22 +218,22 @@ class Recording:
             index = np.arange(seen, seen + len(rows))
             kept.append(rows[(index % stride == 0) | (index == total - 1)])
             seen += len(rows)
-        width = sum(about.size for about in _COLUMNS.values())
+        width = sum(column.size for column in _COLUMNS.values())
         samples = np.concatenate([np.empty((0, width)), *kept])
         return {**split_columns(samples, _COLUMNS), "largest_orbit_drift": np.array(drift)}
 
     def replaces(self, path: Path) -> bool:
         """Whether the file at `path` is what an interrupted part of this very run left."""
-        return self.start is not None and run_of(path) == self.run
+        return self.start is not None and told_by(path, "run") == self._run
 
 
-def _together(pieces: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]]:
-    """The pieces of each name joined into larger ones of about `_PIECE` bytes."""
+def _joined(pieces: Iterable[tuple[str, Array]], most: float) -> Iterator[tuple[str, Array]]:
+    """The pieces of each name joined into larger ones of about `most` bytes."""
     waiting: dict[str, list[Array]] = {}
     for name, rows in pieces:
         pile = waiting.setdefault(name, [])
         pile.append(rows)
-        if sum(part.nbytes for part in pile) > _PIECE:
+        if sum(part.nbytes for part in pile) > most:
             yield name, np.concatenate(waiting.pop(name))
     for name, pile in waiting.items():
         yield name, np.concatenate(pile)
@@ -248,19 +242,8 @@ def _together(pieces: Iterable[tuple[str, Array]]) -> Iterator[tuple[str, Array]
 def _place(name: str) -> int:
     """First column of a quantity in the rows of samples."""
     start = 0
-    for key, about in _COLUMNS.items():
+    for key, column in _COLUMNS.items():
         if key == name:
             return start
-        start += about.size
+        start += column.size
     raise KeyError(name)
-
-
-def _first_difference(one: Any, other: Any, prefix: str = "") -> str | None:
-    """Dotted key of the first difference of two nested dictionaries."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for key in dict.fromkeys([*one, *other]):
-            found = _first_difference(one.get(key), other.get(key), f"{prefix}{key}.")
-            if found is not None:
-                return found
-        return None
-    return None if one == other else prefix.rstrip(".")

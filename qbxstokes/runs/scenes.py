@@ -34,7 +34,6 @@ _PUSHING = {"forces", "constraints"}
 # Sections that a sweep has no use for, and what it has in their place.
 _SINGLE = {
     "events": "a sweep takes periods and averages from the samples; leave it out",
-    "checkpoint": "a sweep keeps every finished block; leave it out",
     "field": "draw the field of one trajectory as a motion of its own",
 }
 # What one block may hold in memory while its quantities are computed (bytes).

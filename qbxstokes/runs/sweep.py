@@ -1,69 +1,39 @@
-"""A sweep on any number of ranks: models, blocks handed out as ranks become free, one result file.
-
-Every rank runs the same loop: take the number of the next block, compute it, write its rows, note
-it in the rank's journal. What a block holds does not depend on who computes it, and neither do its
-numbers.
-"""
+"""A sweep on any number of ranks, from its case to its result."""
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
-import shutil
+import os
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.space import column_name
-from qbxstokes.errors import CaseError, ConvergenceError, QbxStokesError
+from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep as store
-from qbxstokes.io.cache import SharedCache
-from qbxstokes.io.names import check_writable, numbered
-from qbxstokes.quantities import COLUMNS, MOTION, PARAMETER, STATUS, Quantity
-from qbxstokes.runs import block, handout
+from qbxstokes.io.names import check_writable
+from qbxstokes.io.store import Work, holds_work, open_work, unwritable
+from qbxstokes.runs import handout
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
+from qbxstokes.runs.gathering import Gathering, seconds_between
 from qbxstokes.runs.handout import HandOut
+from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Progress
 from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep_layout import layout_of, scales_of
+from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
 from qbxstokes.runs.target import result_path
-from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.from_case import body_of, pointed, simulation_of
-from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
-Array = NDArray[Any]
-
-_COORDINATE_PIECE = 65_536
-_PATIENCE = 1.0  # seconds between what is said of the bodies
-
-
-@dataclass
-class Work:
-    """What this run has to do: blocks by number, those of them that only mend failures, totals."""
-
-    folder: Path
-    target: Path
-    blocks: list[int]
-    mend: dict[int, list[int]]
-    done: int
-    run: int
-    complete: bool = False
+_RESULT = "result.new"  # in the working folder, until it is whole
 
 
 def sweep_command(job: Job) -> int:
@@ -130,469 +100,189 @@ def run_sweep(
     clock: Clock,
 ) -> dict[str, Any]:
     """Compute the sweep on all ranks and return its summary (on every rank)."""
+    from qbxstokes.petsc import session
+
     scenes = Scenes(loaded)
+    seconds_between(loaded)
     layout = layout_of(scenes)
-    digest = digest_of(loaded, scenes)
-    made = provenance | {"digest": digest, "shape": list(scenes.space.shape)}
+    identity = identity_of(
+        loaded, session.stepper_options(session.start()), blocks=[scenes.block_size, scenes.blocks]
+    )
+    opening = Opening(scenes, layout, identity, options)
     with clock.part("output"):
-        work = on_root(comm, lambda: _prepare(scenes, layout, digest, options, made))
-    if work.complete:
-        return {"result": str(work.target), "complete": True, "failed": 0}
-    if work.run > 1:
-        with clock.part("output"):
-            _verify(comm, scenes, layout, work)
+        plan, todo, complete = on_root(comm, opening.open)
+    if complete is not None:
+        return {"result": str(complete), "complete": True, "failed": 0}
+    try:
+        return _computed(comm, scenes, layout, options, provenance, clock, opening, plan, todo)
+    except BaseException:
+        opening.close()
+        raise
+
+
+def _computed(
+    comm: Any,
+    scenes: Scenes,
+    layout: store.Layout,
+    options: argparse.Namespace,
+    provenance: dict[str, Any],
+    clock: Clock,
+    opening: Opening,
+    plan: Work,
+    todo: Todo,
+) -> dict[str, Any]:
+    """What is to be done, done by all ranks and merged by rank 0."""
+    work = plan.joined(comm.rank) if comm.rank else opening.work
+    assert work is not None
+    gathering = Gathering(comm, work, BLOCKS, joined=True, every=seconds_between(scenes.loaded))
     counters = HandOut(comm)
     speak = comm.rank == 0 and not options.quiet and options.progress != "none"
-    with clock.part("models"):
-        models = _models(comm, scenes, work, counters, options.no_cache, speak)
-    progress = None
-    if comm.rank == 0 and not options.quiet:
-        progress = Progress(scenes.space.size, options.progress, comm.size)
     begin = time.perf_counter()
     try:
+        with clock.part("models"):
+            models = form_models(comm, scenes, todo, counters, options.no_cache, speak)
+        progress = None
+        if comm.rank == 0 and not options.quiet:
+            progress = Progress(scenes.space.size, options.progress, comm.size, before=todo.done)
+        begin = time.perf_counter()
         with Interruption() as interruption, compilation_told(comm, speak):
             interruption.listening = True
-            team = Team(comm, counters, progress, interruption, work)
-            _blocks(team, scenes, layout, work, models, clock)
-    except OSError as error:
-        raise store.full_disk(work.target, error) from None
+            team = Team(comm, counters, progress, interruption, todo)
+            work_on_blocks(team, scenes, layout, models, gathering, clock)
     except KeyboardInterrupt:
         raise interrupted(work.folder, 2) from None
     with clock.part("waiting"):
         counters.wait()
     failed = counters.read(handout.FAILED)
     if progress is not None:
-        progress.close(work.done + counters.read(handout.DONE), failed)
+        progress.close(todo.done + counters.read(handout.DONE), failed)
     counters.wait()
     counters.close()
+    made = provenance | {"identity": json.dumps(plan.identity), "shape": list(scenes.space.shape)}
     elapsed = time.perf_counter() - begin
-
-    def finish() -> dict[str, Any]:
-        return _finish(scenes, layout, work, elapsed, comm.size)
-
     with clock.part("output"):
-        return on_root(comm, finish)
-
-
-def layout_of(scenes: Scenes) -> store.Layout:
-    """What the result file holds."""
-    case = scenes.loaded.case
-    assert case.sweep is not None
-    coordinates = _coordinate_types(scenes)
-    columns: list[tuple[str, Any]] = [*coordinates.items()]
-    columns += [("status", "i1"), *((name, "f8") for name in COLUMNS)]
-    columns += [("reason", f"S{store.REASON_LENGTH}")]
-    quantities = scenes.scene(0).plan.quantities if case.sweep.store == "samples" else ()
-    swept = {
-        name: PARAMETER.get(name) or Quantity(name, "", "", f"swept value {name}")
-        for name in coordinates
-    }
-    return store.Layout(
-        scenes.space.size,
-        scenes.samples,
-        np.dtype(columns),
-        quantities,
-        scenes.common_times,
-        tuple(coordinates),
-        {**swept, **STATUS, **COLUMNS},
-    )
-
-
-def _coordinate_types(scenes: Scenes) -> dict[str, Any]:
-    """Columns of the swept values and their types; vectors one column per component."""
-    types: dict[str, Any] = {}
-    for _, column in scenes.space.columns:
-        name = column_name(column.key)
-        sample = column.take(np.arange(min(column.size, 1)))
-        if not column.numeric:
-            assert column.values is not None
-            words = [_word(value) for value in column.values.tolist()]
-            types[name] = f"S{max(1, *(len(word) for word in words))}"
-        elif sample.ndim == 1:
-            types[name] = "f8"
-        else:
-            first = 0 if sample.shape[1] == 4 else 1
-            types |= {f"{name}_{i + first}": "f8" for i in range(sample.shape[1])}
-    return types
-
-
-def _word(value: Any) -> bytes:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text.encode("ascii", "backslashreplace")
-
-
-def coordinates_of(scenes: Scenes, index: Array) -> dict[str, Array]:
-    """Swept values of some trajectories as columns."""
-    columns: dict[str, Array] = {}
-    by_key = {column.key: column for _, column in scenes.space.columns}
-    for key, values in scenes.space.values(index).items():
-        name = column_name(key)
-        if not by_key[key].numeric:
-            columns[name] = np.array([_word(value) for value in values.tolist()])
-        elif values.ndim == 1:
-            columns[name] = values
-        else:
-            first = 0 if values.shape[1] == 4 else 1
-            columns |= {f"{name}_{i + first}": values[:, i] for i in range(values.shape[1])}
-    return columns
-
-
-def digest_of(loaded: LoadedCase, scenes: Scenes) -> str:
-    """What a sweep has in common with the one that it may go on with."""
-    resolved = loaded.resolved()
-    for name in ("output", "title"):
-        resolved.pop(name, None)
-    tables = hashlib.sha256()
-    for _, column in scenes.space.columns:
-        if column.values is not None:
-            tables.update(repr(column.values.tolist()).encode())
-    text = json.dumps([resolved, tables.hexdigest(), scenes.block_size, scenes.blocks])
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _prepare(
-    scenes: Scenes,
-    layout: store.Layout,
-    digest: str,
-    options: argparse.Namespace,
-    provenance: dict[str, Any],
-) -> Work:
-    """On rank 0: a new file laid out, or an earlier one to go on with."""
-    asked = result_path(scenes.loaded)
-    check_writable(asked)
-    overwrite = options.overwrite or scenes.loaded.case.output.overwrite
-    everything = list(range(scenes.blocks))
-    if options.resume:
-        found = store.unfinished(islice(numbered(asked), 1000))
-        if found is not None:
-            if store.digest_in(store.parts_of(found)) != digest:
-                raise CaseError(
-                    f"{store.parts_of(found)}: belongs to another sweep than {scenes.loaded.path} "
-                    "as it is now; restore the case, or begin anew with --overwrite"
-                )
-            return _resumed(store.parts_of(found), found, everything)
-        if asked.exists():
-            return _reopened(scenes, layout, digest, asked, everything)
-    target = asked
-    if overwrite:
-        shutil.rmtree(store.parts_of(asked), ignore_errors=True)
-    else:
-        target = next(name for name in numbered(asked) if not name.exists())
-        if (store.parts_of(target) / store.LAYOUT).exists():
-            raise CaseError(
-                f"{target}: an unfinished sweep is kept in {store.parts_of(target)}; go on with "
-                "--resume, or begin anew with --overwrite"
-            )
-        shutil.rmtree(store.parts_of(target), ignore_errors=True)
-    folder = store.create(target, layout, digest, provenance, _coordinates(scenes, layout))
-    return Work(folder, target, everything, {}, 0, 1)
-
-
-def _coordinates(scenes: Scenes, layout: store.Layout) -> Iterator[tuple[int, dict[str, Array]]]:
-    """The scales of the file in pieces."""
-    for first in range(0, layout.size, _COORDINATE_PIECE):
-        index = np.arange(first, min(first + _COORDINATE_PIECE, layout.size))
-        columns = coordinates_of(scenes, index)
-        yield (
-            first,
-            {
-                "trajectory": index,
-                **{name: values.astype(layout.dtype[name]) for name, values in columns.items()},
-            },
+        if comm.rank:
+            list(gathering.collect())
+        return on_root(
+            comm, lambda: _merged(scenes, layout, gathering, opening, made, elapsed, comm.size)
         )
-    if layout.quantities and layout.times is not None:
-        yield 0, {"time": layout.times}
-    elif layout.quantities:
-        yield 0, {"sample": np.arange(layout.samples)}
 
 
-def _resumed(folder: Path, target: Path, everything: list[int]) -> Work:
-    """What the journals of an earlier run leave to do."""
-    store.check_data(folder)
-    found = store.read_journals(folder)
-    todo = [number for number in everything if number not in found.blocks]
-    mend = {number: sorted(failed) for number, failed in found.failed.items() if failed}
-    return Work(folder, target, todo, mend, 0, found.run + 1)
+class Opening:
+    """Finds out on rank 0 what there is to do, and holds the working folder.
 
-
-def _reopened(
-    scenes: Scenes, layout: store.Layout, digest: str, path: Path, everything: list[int]
-) -> Work:
-    """What a finished file with failures leaves to do; it stays until a better one is complete."""
-    offsets, made_by = store.offsets_of(path)
-    if made_by != digest:
-        raise CaseError(
-            f"{path}: is the result of another sweep than {scenes.loaded.path} as it is now; "
-            "begin anew with --overwrite, or change output.file"
-        )
-    entries = []
-    with store.WholeFile(path, offsets, layout, writable=False) as whole:
-        for number in everything:
-            index = scenes.block(number).index
-            table = whole.read_table(index)
-            lost = table["status"] != store.DONE
-            entries.append(
-                {
-                    "run": 1,
-                    "block": number,
-                    "checksum": whole.checksum(index),
-                    "failed": {
-                        int(i): reason.decode()
-                        for i, reason in zip(index[lost], table["reason"][lost], strict=True)
-                    },
-                    "totals": {},
-                }
-            )
-    if not any(entry["failed"] for entry in entries):
-        return Work(store.parts_of(path), path, [], {}, layout.size, 1, complete=True)
-    folder = store.reopen(path, digest, offsets, entries)
-    return _resumed(folder, path, everything)
-
-
-def _verify(comm: Any, scenes: Scenes, layout: store.Layout, work: Work) -> None:
-    """Compute again what is in the journals but not on the disk; counts what is done."""
-    found = store.read_journals(work.folder)
-    todo = set(work.blocks)
-    bad: list[int] = []
-    done = 0
-    whole = store.open_layout(work.folder, layout)
-    with whole:
-        for number in range(comm.rank, scenes.blocks, comm.size):
-            if number in todo:
-                continue
-            index = scenes.block(number).index
-            if whole.checksum(index) != found.blocks[number]:
-                bad.append(number)
-            else:
-                done += len(index) - len(work.mend.get(number, ()))
-    for numbers, count in comm.allgather((bad, done)):
-        work.blocks += numbers
-        work.done += count
-    for number in work.blocks:
-        work.mend.pop(number, None)
-    work.blocks.sort()
-
-
-@dataclass
-class Models:
-    """The bodies of the sweep: what their operators give, and which could not be formed."""
-
-    cache: SharedCache
-    errors: dict[int, QbxStokesError]
-
-
-def _models(
-    comm: Any, scenes: Scenes, work: Work, counters: HandOut, no_cache: bool, speak: bool
-) -> Models:
-    """Form the bodies that this run needs, each by whichever rank is free, known to all.
-
-    speak: whether to say on standard error how far it is, where it takes more than a moment. A
-    body that cannot be formed is noted with the error, which its trajectories then report.
+    base: a finished result whose failures are to be mended, which stays until a better one is
+    there.
     """
-    from qbxstokes.io.cache import open_cache
-    from qbxstokes.petsc import session
 
-    body, representatives = scenes.bodies
-    needed = sorted(
-        {int(body[s]) for number in [*work.blocks, *work.mend] for s in scenes.scenes_of(number)}
-    )
-    # Options of the solver want to be seen at work.
-    no_cache = no_cache or bool(session.solver_options(session.start()))
-    named = scenes.loaded.case.hydrodynamics.cache
-    models = Models(SharedCache(open_cache(named, no_cache).folder), {})
-    told = time.monotonic()
-    while (place := counters.next(handout.MODELS)) < len(needed):
-        number = needed[place]
-        if speak and time.monotonic() > told + _PATIENCE:
-            told = time.monotonic()
-            text = f"qbxstokes: forming bodies, {place + 1} of {len(needed)}"
-            print(text, file=sys.stderr, flush=True)
-        try:
-            scene = scenes.scene(representatives[number])
-            with pointed(scene.loaded):
-                simulation, workshop = scene.plan.simulation, Workshop(cache=models.cache)
-                need = simulation.need(scenes.pushed)
-                simulation.body.hydrodynamics_in(simulation.flow, need, workshop)
-        except QbxStokesError as error:
-            models.errors[number] = error
-    counters.wait()
-    for entries, errors in comm.allgather((models.cache.entries, models.errors)):
-        models.cache.receive(entries)
-        models.errors.update(errors)
-    return models
+    def __init__(
+        self,
+        scenes: Scenes,
+        layout: store.Layout,
+        identity: dict[str, Any],
+        options: argparse.Namespace,
+    ) -> None:
+        self._scenes, self._layout, self._identity = scenes, layout, identity
+        self._options = options
+        self.overwrite = options.overwrite or scenes.loaded.case.output.overwrite
+        self.work: Work | None = None
+        self.base: Path | None = None
 
-
-@dataclass
-class Team:
-    """What a rank shares with the others while it computes."""
-
-    comm: Any
-    counters: HandOut
-    progress: Progress | None
-    interruption: Interruption
-    work: Work
-
-    def poke(self) -> bool:
-        """Between steps: serve MPI, tell the progress, heed signals (raises Interrupted)."""
-        if self.interruption.asked():
-            raise interrupted(self.work.folder, self.interruption.signal)
-        if self.progress is None or not self.progress.due:
-            self.counters.poke()
+    def open(self) -> tuple[Work, Todo, Path | None]:
+        """The folder for the other ranks, what is to be done, and a result without failures."""
+        asked, resume = result_path(self._scenes.loaded), self._options.resume
+        check_writable(asked, self.overwrite)
+        done = None
+        if resume and not self.overwrite:
+            done = finished_result(self._scenes.loaded, self._identity)
+        if done is None:
+            work = open_work(asked, self._identity, resume=resume, overwrite=self.overwrite)
+            if work.mends:
+                self.base = work.target
+            todo = todo_of(self._scenes, work, self.failures() if self.base else None)
         else:
-            done = self.work.done + self.counters.read(handout.DONE)
-            self.progress.update(done, self.counters.read(handout.FAILED))
-        return False
+            self.base = done
+            todo = self.failures()
+            if not todo.mend:
+                return Work(done, {}, 1), todo, done
+            work = open_work(done, self._identity, overwrite=True)
+            work.mends = True
+        self.work = work
+        try:
+            store.check_room(work.target.parent, self._layout)
+            work.note_run()
+        except BaseException:
+            self.close()
+            raise
+        return work.joined(0), todo, None
+
+    def close(self, remove: bool = False) -> None:
+        """Let go of the folder, which goes as well where nothing is in it."""
+        if self.work is not None:
+            self.work.close(remove=remove or not holds_work(self.work.folder))
+
+    def failures(self) -> Todo:
+        """What the finished result leaves to do."""
+        assert self.base is not None
+        todo = Todo([])
+        with store.open_result(self.base, self._layout) as whole:
+            for number in range(self._scenes.blocks):
+                index = self._scenes.block(number).index
+                table = whole.read_table(index)
+                lost = table["status"] != store.DONE
+                todo.failed[number] = {
+                    int(i): reason.decode()
+                    for i, reason in zip(index[lost], table["reason"][lost], strict=True)
+                }
+                todo.done += len(index) - int(lost.sum())
+        todo.mend = {number: sorted(failed) for number, failed in todo.failed.items() if failed}
+        return todo
 
 
-def _blocks(
-    team: Team,
+def _merged(
     scenes: Scenes,
     layout: store.Layout,
-    work: Work,
-    models: Models,
-    clock: Clock,
-) -> None:
-    """Compute blocks until none is left."""
-    order, counters = _order(scenes, work), team.counters
-    whole = store.open_layout(work.folder, layout)
-    journal = store.Journal(work.folder, team.comm.rank)
-    computer = _Computer(scenes, layout, models, team.poke)
-    with whole:
-        while (place := counters.next(handout.BLOCKS)) < len(order):
-            number = order[place]
-            with clock.part("blocks"):
-                index, rows, entry = computer.compute(number, work.mend.get(number))
-            with clock.part("output"):
-                checksum = whole.write_rows(index, rows)
-                block = scenes.block(number).index
-                if len(index) < len(block):
-                    checksum = whole.checksum(block)
-                entry |= {"block": number, "checksum": checksum, "run": work.run}
-                journal.record(entry)
-            counters.add(handout.FAILED, len(entry["failed"]))
-            counters.add(handout.DONE, len(index) - len(entry["failed"]))
-            team.poke()
-    journal.close()
-
-
-def _order(scenes: Scenes, work: Work) -> list[int]:
-    """Blocks in the order of handing out: the costliest first, so that ranks end together."""
-    from qbxstokes.runs.cost import block_seconds
-
-    numbers = sorted({*work.blocks, *work.mend})
-    cost = block_seconds(scenes)[numbers]
-    return [numbers[i] for i in np.argsort(-cost, kind="stable")]
-
-
-class _Computer:
-    """Computes blocks, keeping the bodies at hand from one to the next."""
-
-    def __init__(self, scenes: Scenes, layout: store.Layout, models: Models, poke: Any) -> None:
-        self._scenes, self._layout, self._models, self._poke = scenes, layout, models, poke
-        self._workshop = Workshop(cache=models.cache)
-        self._body, _ = scenes.bodies
-        self._bodies: dict[int, Body] = {}
-
-    def compute(
-        self, number: int, only: list[int] | None
-    ) -> tuple[Array, dict[str, Array], dict[str, Any]]:
-        """Trajectory numbers, rows of the file, and the journal's entry."""
-        scenes, layout = self._scenes, self._layout
-        sweep = scenes.loaded.case.sweep
-        assert sweep is not None
-        pieces = scenes.block(number).pieces
-        simulations: list[Simulation] = []
-        sound: list[Array] = []
-        lost: dict[int, str] = {}
-        times = np.full(layout.samples, np.nan)
-        for scene, members in pieces:
-            chosen = members if only is None else members[np.isin(members, only)]
-            if not len(chosen):
-                continue
-            try:
-                simulations.append(self._simulation(scene, chosen))
-                sound.append(chosen)
-                times = scenes.scene(scene).plan.times
-            except QbxStokesError as error:
-                lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
-        index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
-        n = len(index)
-        result = block.compute_block(
-            simulations,
-            times,
-            layout.quantities,
-            sweep.discard,
-            self._workshop,
-            scenes.pushed,
-            self._poke,
-        )
-        well = n - len(lost)
-        result.failed |= {well + i: reason for i, reason in enumerate(lost.values())}
-        table = np.zeros(n, dtype=layout.dtype)
-        for name in layout.dtype.names or ():
-            if layout.dtype[name].kind == "f":
-                table[name] = np.nan
-                table[name][:well] = result.summary.get(name, np.nan)
-        for name, column in coordinates_of(scenes, index).items():
-            table[name] = column
-        table["status"] = store.DONE
-        for i, reason in result.failed.items():
-            table["status"][i] = store.FAILED
-            table["reason"][i] = reason.encode("ascii", "replace")[: store.REASON_LENGTH]
-        rows = {"table": table}
-        for name in layout.quantities:
-            rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
-            rows[name][:well] = result.quantities[name]
-        if layout.quantities and layout.times is None:
-            rows["time"] = np.tile(result.times, (n, 1))
-        if lost:  # in the order of the block, in which its rows are checked
-            asked = np.concatenate([members for _, members in pieces])
-            order = [int(np.flatnonzero(index == i)[0]) for i in asked[np.isin(asked, index)]]
-            rows = {name: values[order] for name, values in rows.items()}
-        entry = {
-            "failed": {int(index[i]): reason for i, reason in result.failed.items()},
-            "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
-        }
-        return index[order] if lost else index, rows, entry
-
-    def _simulation(self, number: int, index: Array) -> Simulation:
-        """Some trajectories of a scene as the lanes of a simulation."""
-        body = int(self._body[number])
-        if body in self._models.errors:
-            raise self._models.errors[body]
-        scene = self._scenes.scene(number)
-        if body not in self._bodies:
-            self._bodies[body] = body_of(scene.loaded)
-        starts = block.starts_of(scene.loaded, self._scenes.space.values(index), len(index))
-        return simulation_of(scene.loaded, self._bodies[body], starts)
-
-
-def _finish(
-    scenes: Scenes,
-    layout: store.Layout,
-    work: Work,
+    gathering: Gathering,
+    opening: Opening,
+    provenance: dict[str, Any],
     elapsed: float,
     ranks: int,
 ) -> dict[str, Any]:
-    """On rank 0: totals, the file under its name, and the summary."""
-    found = store.read_journals(work.folder)
-    failed = {i: reason for part in found.failed.values() for i, reason in part.items()}
-    numbers = {
-        "trajectories": layout.size,
-        "done": layout.size - len(failed),
-        "failed": len(failed),
-        **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations")},
-        "wall_time": elapsed,
-        "ranks": ranks,
-    }
-    whole = store.open_layout(work.folder, layout)
+    """On rank 0: all rows in one file, the file under its name, and the summary."""
+    work = opening.work
+    assert work is not None
+    found = Todo([])
+    path, target = work.folder / _RESULT, work.target
     try:
-        with whole:
-            path = store.finish(work.folder, work.target, whole, numbers)
+        with store.create(path, layout, provenance, scales_of(scenes, layout)) as whole:
+            if opening.base is not None:
+                found = opening.failures()
+                with store.open_result(opening.base, layout) as old:
+                    for number in range(scenes.blocks):
+                        index = scenes.block(number).index
+                        whole.write_rows(index, old.read_rows(index))
+            for rows, note in gathering.collect():
+                whole.write_rows(rows.pop("index"), rows)
+                for told in note.get("items", [note]):
+                    found.learn(told)
+            failed = {i: why for part in found.failed.values() for i, why in part.items()}
+            numbers = {
+                "trajectories": layout.size,
+                "done": layout.size - len(failed),
+                "failed": len(failed),
+                **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations")},
+                "wall_time": elapsed,
+                "ranks": ranks,
+            }
+            for name, value in numbers.items():
+                whole.write_total(name, value)
+            whole.flush()
+        os.replace(path, target)
     except OSError as error:
-        raise store.full_disk(work.target, error) from None
+        raise unwritable(target, error) from None
+    opening.close(remove=True)
     return {
-        "result": str(path),
+        "result": str(target),
         "complete": False,
         **numbers,
         "scenes": scenes.size,

@@ -31,6 +31,10 @@ _STEPS_OF_LOADS = 50.0
 # or some seconds, by how the free motion is found; and samples at most.
 CUT_STEPS = {"table": 5000, "grid": 500, "every_step": 100}
 CUT_SAMPLES = 10_000
+# About what a step costs a lane (s) by how its free motion is found, and how much work lies between
+# two cuts of several lanes. Constants, since where the cuts are the numbers depend on.
+STEP_COST = {"table": 7e-7, "plain": 7e-6, "grid": 1.3e-4, "every_step": 1.3e-2}
+CUT_WORK = 4.0
 
 
 @dataclass
@@ -70,7 +74,7 @@ class Assembled:
         end = float(times[-1])
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS[self.parts[0].kind]}
         if len(self.initial) > 1:  # lanes are kept in memory: a cut would only move their bits
-            limits = {"chunk_samples": len(times) + 1}
+            limits = {"chunk_samples": len(times) + 1, "chunk_steps": self._cut_steps}
         return integrate(
             self.equations,
             self.initial if start is None else start,
@@ -79,6 +83,14 @@ class Assembled:
             longest_step=None if self.equations.steady else end / _STEPS_OF_LOADS,
             **{**limits, **settings},
         )
+
+    @property
+    def _cut_steps(self) -> int:
+        """Steps of several lanes between cuts: some seconds of work, whatever a step costs."""
+        kind = self.parts[0].kind
+        if kind == "table" and not self.equations.compiled():
+            kind = "plain"
+        return int(np.clip(CUT_WORK / (len(self.initial) * STEP_COST[kind]), 20, 10_000))
 
     def watch(self) -> Any:
         """What watches for events between the steps of a single lane; raises SceneError."""

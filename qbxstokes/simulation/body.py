@@ -331,14 +331,14 @@ class Body:
         array([0.59375, 0.     ])
         """
         x, q, _ = places(position, orientation)
-        moving: list[Array | None] = [None, None]
-        if velocity is not None or angular_velocity is not None:
-            moving = [
-                np.zeros(3) if u is None else np.asarray(u, dtype=np.float64)
-                for u in (velocity, angular_velocity)
-            ]
+        v, omega = (
+            None if u is None else np.asarray(u, dtype=np.float64)
+            for u in (velocity, angular_velocity)
+        )
+        if v is not None or omega is not None:  # the other one is held
+            v, omega = (np.zeros(3) if u is None else u for u in (v, omega))
         around = AroundBody(self.shape, flow, self.settings, tolerance)
-        whole = around.at(Instant(t, x[0], q[0], *moving))
+        whole = around.at(Instant(t, x[0], q[0], v, omega))
         return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), tolerance)
 
 

@@ -135,7 +135,8 @@ def form_body(
     degree: of the flow, 1 to 3 (3 for flows that are not polynomial). strict: raise
     ConvergenceError where rounding forbids the tolerance.
     """
-    cache, scheme, solvers = workshop.cache, explicit_scheme(section), []
+    cache, scheme = workshop.cache, explicit_scheme(section)
+    solvers: list[Any] = []
     residual = solver_tolerance(section)
     key = {
         "aspect_ratio": spheroid.aspect_ratio,

@@ -1,0 +1,336 @@
+"""Work on its way to a result: whole files, each by one writer, and what a resumed run finds.
+
+A result `NAME.h5` in the making has a working folder `NAME.h5.parts/` with
+
+    lock          held by the run that is at work, and gone with it however it ends
+    run.json      what the numbers depend on: a run goes on only where nothing of it has changed
+    KIND-*.h5     parts: arrays of finished work with a note, numbered by run, writer and order
+    state-*.h5    resumable states of work in progress, each replaced by the next
+
+Every file is written by one process under a temporary name, brought to the disk and renamed: one
+that carries its name is whole. No two processes ever write one file, since network file systems
+promise nothing there. To resume means to do what no part holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import shutil
+import socket
+import uuid
+from collections.abc import Iterable, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import CaseError, OutputError
+from qbxstokes.io.names import numbered, parts_of
+
+Array = NDArray[Any]
+
+LOCK, RUN = "lock", "run.json"
+_NOTE, _SUFFIX = "note", ".h5"
+# Names of results, with numbers, that are looked through for a run to go on with.
+NUMBERED = 1000
+
+
+class DamagedPart(Exception):
+    """A part that is not whole, or not one of ours."""
+
+
+# -- whole files ----------------------------------------------------------------------------------
+
+
+def write_whole(path: Path, data: bytes | memoryview) -> None:
+    """Write a file that appears under its name complete or not at all; raises OSError."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+    try:
+        try:
+            view = memoryview(data)
+            while len(view):
+                view = view[os.write(descriptor, view) :]
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
+    with contextlib.suppress(OSError):  # a file system that does not sync folders
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
+    """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading."""
+    import h5py
+
+    with h5py.File("part", "w", driver="core", backing_store=False) as file:
+        text = np.frombuffer(json.dumps(note).encode(), dtype=np.uint8)
+        for name, values in {**arrays, _NOTE: text}.items():
+            data = np.asarray(values)
+            checked: dict[str, Any] = (
+                {"fletcher32": True, "chunks": data.shape} if data.size else {}
+            )
+            if data.ndim == 0:
+                checked, data = {"fletcher32": True, "chunks": (1,)}, data.reshape(1)
+            item = file.create_dataset(name, data=data, track_times=False, **checked)
+            item.attrs["scalar"] = np.asarray(values).ndim == 0
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+def write_part(path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+    """Write a part; raises OSError."""
+    write_whole(path, packed(arrays, note))
+
+
+def read_part(
+    path: Path, names: Iterable[str] | None = None
+) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Arrays (those of the names, or all) and note of a part; raises DamagedPart, OSError."""
+    import h5py
+
+    if not path.is_file():
+        raise FileNotFoundError(2, "No such file", str(path))
+    try:
+        with h5py.File(path, "r") as file:
+            note = json.loads(file[_NOTE][()].tobytes())
+            wanted = [name for name in file if name != _NOTE] if names is None else names
+            arrays = {
+                name: file[name][0] if file[name].attrs["scalar"] else file[name][()]
+                for name in wanted
+            }
+    except Exception as error:  # h5py reports damage by errors of many kinds
+        raise DamagedPart(f"{path}: {' '.join(str(error).split())}") from None
+    return arrays, note
+
+
+# -- working folders ------------------------------------------------------------------------------
+
+
+class Work:
+    """The working folder of a result as one writer sees it.
+
+    target: the result. writer: number of this process among those at work; the first holds the
+    lock. run: how many runs have been at work here, this one included. identity: what the numbers
+    depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be put
+    into the result that is there.
+    """
+
+    def __init__(
+        self, target: Path, identity: Mapping[str, Any], run: int, writer: int = 0
+    ) -> None:
+        self.target, self.identity, self.run, self.writer = target, dict(identity), run, writer
+        self.folder = parts_of(target)
+        self.resumed, self.mends = run > 1, False
+        self._lock: int | None = None
+        self._count = 0
+
+    def joined(self, writer: int) -> Work:
+        """The same folder for another process of the run; plain data, to be sent to it."""
+        return Work(self.target, self.identity, self.run, writer)
+
+    # -- what is written ----------------------------------------------------------------------
+
+    def save(self, kind: str, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> Path:
+        """Make finished work safe as a part; raises OutputError."""
+        self._count += 1
+        name = f"{kind}-{self.run:04d}-{self.writer:05d}-{self._count:06d}{_SUFFIX}"
+        self._write(self.folder / name, arrays, note)
+        return self.folder / name
+
+    def save_state(self, name: str, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        """Replace the resumable state of work in progress; raises OutputError."""
+        self._write(self.folder / f"state-{name}{_SUFFIX}", arrays, note)
+
+    def drop_state(self, name: str) -> None:
+        """Forget the state of work that is finished."""
+        (self.folder / f"state-{name}{_SUFFIX}").unlink(missing_ok=True)
+
+    def _write(self, path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        try:
+            write_part(path, arrays, note)
+        except OSError as error:
+            raise unwritable(self.folder, error) from None
+
+    # -- what is found ------------------------------------------------------------------------
+
+    def parts(self, kind: str) -> list[Path]:
+        """Parts of a kind in the order in which they were written, writer by writer."""
+        return sorted(self.folder.glob(f"{kind}-*{_SUFFIX}"))
+
+    def state(self, name: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
+        """The state of work in progress, None where there is none that is whole."""
+        try:
+            return read_part(self.folder / f"state-{name}{_SUFFIX}")
+        except (OSError, DamagedPart):
+            return None
+
+    # -- beginning and end --------------------------------------------------------------------
+
+    def hold(self) -> Work:
+        """Take the lock; raises CaseError where another run has it."""
+        self._lock = _locked(self.folder)
+        return self
+
+    def note_run(self) -> None:
+        """Write down what this run is: from now on it may be gone on with."""
+        told = {"run": self.run, "identity": self.identity, "mends": self.mends}
+        text = json.dumps(told)
+        try:
+            write_whole(self.folder / RUN, text.encode())
+        except OSError as error:
+            raise unwritable(self.folder, error) from None
+
+    def close(self, remove: bool = False) -> None:
+        """Let go of the folder; with `remove` it goes as well."""
+        if remove:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def unwritable(place: Path, error: OSError) -> OutputError:
+    """The error for a disk that takes no more: what is on it stays valid."""
+    return OutputError(
+        f"{place}: cannot be written ({error.strerror or error}). What was finished is kept: make "
+        "room and run again with --resume"
+    )
+
+
+def _locked(folder: Path) -> int:
+    """A descriptor that holds the folder's lock, the folder being made where it is not there."""
+    while True:
+        try:
+            folder.mkdir(exist_ok=True)
+            descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except FileNotFoundError:  # its owner has just removed it
+            continue
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: cannot be made ({error.strerror or error}); choose another output.file"
+            ) from None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            who = os.read(descriptor, 200).decode(errors="replace").strip()
+            os.close(descriptor)
+            raise CaseError(
+                f"{folder}: another run is writing here{f' ({who})' if who else ''}; wait for it, "
+                "or choose another output.file"
+            ) from None
+        except OSError:  # a file system without locks: two runs at once cannot be told apart
+            pass
+        try:
+            if os.stat(folder / LOCK).st_ino == os.fstat(descriptor).st_ino:
+                break
+        except FileNotFoundError:
+            pass
+        os.close(descriptor)  # the folder was removed, and perhaps made anew, in between
+    os.ftruncate(descriptor, 0)
+    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+    return descriptor
+
+
+def _run_in(folder: Path) -> dict[str, Any] | None:
+    """What run.json says, None where there is none that can be read."""
+    try:
+        found = json.loads((folder / RUN).read_text())
+        return {
+            "run": int(found["run"]),
+            "identity": dict(found["identity"]),
+            "mends": bool(found["mends"]),
+        }
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def holds_work(folder: Path) -> bool:
+    """Whether an earlier run has left anything in a working folder to go on with."""
+    return _run_in(folder) is not None and any(folder.glob(f"[!.]*-*{_SUFFIX}"))
+
+
+def open_work(
+    asked: Path, identity: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+) -> Work:
+    """The working folder of a run, held: of a new one, or of an unfinished one to go on with.
+
+    asked: the result that the case names; a new run takes the next free name unless it overwrites.
+    Raises CaseError where another run is at work, where an unfinished run is neither gone on with
+    nor to be overwritten, and where what is to be resumed depends on something that has changed.
+    """
+    wanted = json.loads(json.dumps(identity))
+    if resume:
+        for name in islice(numbered(asked), NUMBERED):
+            if holds_work(parts_of(name)):
+                return _reopened(name, wanted)
+            if not name.exists():
+                break
+    target = asked if overwrite else next(n for n in numbered(asked) if not os.path.lexists(n))
+    work = Work(target, wanted, 1).hold()
+    for name in dict.fromkeys([asked, target]):
+        folder = parts_of(name)
+        if not overwrite and holds_work(folder):
+            if name != target:  # is it at work, or has it stopped?
+                Work(name, wanted, 1).hold().close()
+            work.close(remove=name != target)
+            raise CaseError(
+                f"{name}: an unfinished run is kept in {folder}; go on with --resume, or begin "
+                "anew with --overwrite"
+            )
+    _cleared(work.folder)
+    return work
+
+
+def _reopened(target: Path, wanted: dict[str, Any]) -> Work:
+    """The unfinished run of a result, held, if it depends on what this one does."""
+    work = Work(target, wanted, 1).hold()
+    found = _run_in(work.folder)
+    other = "case" if found is None else first_difference(found["identity"], wanted)
+    if found is None or other is not None:
+        work.close()
+        raise CaseError(
+            f"{work.folder}: the run to go on with had another {other}; restore it, or begin anew "
+            "with --overwrite"
+        )
+    work.run, work.resumed, work.mends = found["run"] + 1, True, found["mends"]
+    for path in work.folder.glob(".*.part"):  # what a killed process was about to write
+        path.unlink(missing_ok=True)
+    work.note_run()  # parts of every run have names of their own
+    return work
+
+
+def _cleared(folder: Path) -> None:
+    """Remove everything but the lock."""
+    for path in folder.iterdir():
+        if path.name == LOCK:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def first_difference(one: Any, other: Any, prefix: str = "") -> str | None:
+    """Dotted key of the first difference of two nested dictionaries."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for key in dict.fromkeys([*one, *other]):
+            found = first_difference(one.get(key), other.get(key), f"{prefix}{key}.")
+            if found is not None:
+                return found
+        return None
+    return None if one == other else prefix.rstrip(".")

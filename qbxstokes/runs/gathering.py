@@ -1,0 +1,133 @@
+"""Finished work of the ranks on its way to rank 0, which alone writes the result.
+
+A rank keeps what it has finished until `every` seconds have passed or it is much, and then makes it
+safe as one part of the working folder: a thousand ranks make thousands of files, not millions. What
+is left at the end goes to rank 0 by a message.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import ResultFileError
+from qbxstokes.io.store import DamagedPart, Work, read_part
+
+Array = NDArray[Any]
+Item = tuple[dict[str, Array], dict[str, Any]]
+
+# Bytes that are kept in memory at most.
+MOST = 64 * 2**20
+_TAG = 77
+
+
+class Gathering:
+    """What one rank has finished: items of arrays with a note.
+
+    kind: of the parts. joined: whether items are rows of the same arrays, which a part holds
+    together. every: seconds between two parts, most: bytes kept in memory.
+    """
+
+    def __init__(
+        self,
+        comm: Any,
+        work: Work,
+        kind: str,
+        joined: bool = False,
+        every: float = 30.0,
+        most: int = MOST,
+    ) -> None:
+        self._comm, self.work, self._kind, self._joined = comm, work, kind, joined
+        self.every, self._most = every, most
+        self._items: list[Item] = []
+        self._bytes, self.saved_at = 0, time.monotonic()
+
+    def add(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        """Take a finished item."""
+        self._items.append((dict(arrays), dict(note)))
+        self._bytes += sum(values.nbytes for values in arrays.values())
+        if self._bytes > self._most or self.late():
+            self.save()
+
+    def late(self, ahead: float = 0.0) -> bool:
+        """Whether something is to be made safe, were the next chance so many seconds ahead."""
+        return time.monotonic() + ahead - self.saved_at >= self.every
+
+    def save(self) -> None:
+        """Make what there is safe; raises OutputError."""
+        if self._items:
+            self.work.save(self._kind, *_packed(self._items, self._joined))
+        self._items, self._bytes = [], 0
+        self.saved_at = time.monotonic()
+
+    def collect(self) -> Iterator[Item]:
+        """On rank 0 all that is finished, part by part; the other ranks hand over what they hold.
+
+        Raises ResultFileError for a part that is damaged: it is removed, and a resumed run does its
+        work again.
+        """
+        if self._comm.rank:
+            self._comm.send(self._items, dest=0, tag=_TAG)
+            return
+        for path in self.work.parts(self._kind):
+            try:
+                arrays, note = read_part(path)
+            except (DamagedPart, OSError) as error:
+                path.unlink(missing_ok=True)
+                raise ResultFileError(
+                    f"{error}; its work is lost, and done again with --resume"
+                ) from None
+            yield from _unpacked(arrays, note)
+        yield from self._items
+        for rank in range(1, self._comm.size):
+            yield from self._comm.recv(source=rank, tag=_TAG)
+
+
+def seconds_between(loaded: LoadedCase) -> float:
+    """How often a rank makes safe what it has: the section `checkpoint`, in seconds here."""
+    interval = loaded.case.checkpoint.interval
+    if interval.unit != "seconds":
+        right = "an interval of wall time, such as 30 s"
+        raise loaded.error("checkpoint.every", f"counts {interval.unit} of a single motion", right)
+    return interval.number
+
+
+def notes(work: Work, kind: str) -> Iterator[dict[str, Any]]:
+    """Notes of all items in the parts of earlier runs; damaged parts are removed."""
+    for path in work.parts(kind):
+        try:
+            _, note = read_part(path, [])
+        except (DamagedPart, OSError):
+            path.unlink(missing_ok=True)
+            continue
+        yield from note["items"]
+
+
+def _packed(items: list[Item], joined: bool) -> Item:
+    """Items as the arrays and the note of one part."""
+    told = [note for _, note in items]
+    if joined:
+        names = items[0][0]
+        arrays = {name: np.concatenate([part[name] for part, _ in items]) for name in names}
+        return arrays, {"items": told, "joined": True}
+    arrays = {
+        f"{number}|{name}": values
+        for number, (part, _) in enumerate(items)
+        for name, values in part.items()
+    }
+    return arrays, {"items": told, "joined": False}
+
+
+def _unpacked(arrays: dict[str, Array], note: dict[str, Any]) -> Iterator[Item]:
+    if note["joined"]:
+        yield arrays, {"items": note["items"]}
+        return
+    for number, told in enumerate(note["items"]):
+        prefix = f"{number}|"
+        own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
+        yield own, told

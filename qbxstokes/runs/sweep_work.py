@@ -1,0 +1,314 @@
+"""The work of a sweep on every rank: bodies, and blocks handed out as ranks become free.
+
+Every rank runs the same loop: take the number of the next block, compute it, keep its rows. What a
+block holds does not depend on who computes it, and neither do its numbers.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import QbxStokesError
+from qbxstokes.io.cache import SharedCache, open_cache
+from qbxstokes.io.store import Work
+from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
+from qbxstokes.quantities import MOTION
+from qbxstokes.runs import block, handout
+from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.gathering import Gathering, notes
+from qbxstokes.runs.handout import HandOut
+from qbxstokes.runs.interrupt import Interruption, interrupted
+from qbxstokes.runs.progress import Progress
+from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep_layout import coordinates_of
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.from_case import body_of, pointed, simulation_of
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.simulation import Simulation
+
+Array = NDArray[Any]
+
+BLOCKS = "blocks"  # the parts of a sweep
+_PATIENCE = 1.0  # seconds between what is said of the bodies
+
+
+@dataclass
+class Todo:
+    """What a run has to do: blocks by number, those of them that only mend failures.
+
+    done: trajectories that are there already. failed: those that failed and why, by block. totals:
+    steps and right-hand sides so far.
+    """
+
+    blocks: list[int]
+    mend: dict[int, list[int]] = field(default_factory=dict)
+    done: int = 0
+    failed: dict[int, dict[int, str]] = field(default_factory=dict)
+    totals: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> list[int]:
+        """All blocks that something is to be done in."""
+        return sorted({*self.blocks, *self.mend})
+
+    def learn(self, note: Mapping[str, Any]) -> None:
+        """Take up what the note of a block says."""
+        number = note["block"]
+        known = self.failed.setdefault(number, {}) if note["mended"] else {}
+        for index in note["mended"]:
+            known.pop(index, None)
+        self.failed[number] = {**known, **{int(i): why for i, why in note["failed"].items()}}
+        for name, value in note["totals"].items():
+            self.totals[name] = self.totals.get(name, 0.0) + value
+
+
+def todo_of(scenes: Scenes, work: Work, base: Todo | None) -> Todo:
+    """What is left to do of a sweep, by the parts of earlier runs.
+
+    base: what a finished result leaves to do, where failures of it are mended.
+    """
+    todo = base or Todo(list(range(scenes.blocks)))
+    if not work.resumed:
+        return todo
+    for note in notes(work, BLOCKS):
+        todo.learn(note)
+    todo.blocks = [number for number in todo.blocks if number not in todo.failed]
+    todo.mend = {number: sorted(failed) for number, failed in todo.failed.items() if failed}
+    sizes = scenes.block_sizes()
+    todo.done = sum(int(sizes[n]) - len(failed) for n, failed in todo.failed.items())
+    return todo
+
+
+@dataclass
+class Models:
+    """The bodies of the sweep: what their operators give, and which could not be formed."""
+
+    cache: SharedCache
+    errors: dict[int, QbxStokesError]
+
+
+def form_models(
+    comm: Any, scenes: Scenes, todo: Todo, counters: HandOut, no_cache: bool, speak: bool
+) -> Models:
+    """Form the bodies that this run needs, each by whichever rank is free, known to all.
+
+    speak: whether to say on standard error how far it is, where it takes more than a moment. A
+    body that cannot be formed is noted with the error, which its trajectories then report.
+    """
+    from qbxstokes.petsc import session
+
+    bodies, representatives = scenes.bodies
+    needed = sorted({int(bodies[s]) for number in todo.numbers for s in scenes.scenes_of(number)})
+    # Options of the solver want to be seen at work.
+    no_cache = no_cache or bool(session.solver_options(session.start()))
+    named = scenes.loaded.case.hydrodynamics.cache
+    models = Models(SharedCache(open_cache(named, no_cache).folder), {})
+    workshop = Workshop(cache=models.cache)
+    told = time.monotonic()
+    while (place := counters.next(handout.MODELS)) < len(needed):
+        number = needed[place]
+        if speak and time.monotonic() > told + _PATIENCE:
+            told = time.monotonic()
+            text = f"qbxstokes: forming bodies, {place + 1} of {len(needed)}"
+            print(text, file=sys.stderr, flush=True)
+        try:
+            scene = scenes.scene(representatives[number])
+            with pointed(scene.loaded):
+                simulation = scene.plan.simulation
+                need = simulation.need(scenes.pushed)
+                simulation.body.hydrodynamics_in(simulation.flow, need, workshop)
+        except QbxStokesError as error:
+            models.errors[number] = error
+    counters.wait()
+    for entries, errors in comm.allgather((models.cache.entries, models.errors)):
+        models.cache.receive(entries)
+        models.errors.update(errors)
+    return models
+
+
+@dataclass
+class Team:
+    """What a rank shares with the others while it computes."""
+
+    comm: Any
+    counters: HandOut
+    progress: Progress | None
+    interruption: Interruption
+    todo: Todo
+
+    def poke(self) -> bool:
+        """Between steps: serve MPI, tell the progress; whether a signal asks to stop."""
+        if self.progress is None or not self.progress.due:
+            self.counters.poke()
+        else:
+            done = self.todo.done + self.counters.read(handout.DONE)
+            share = 1e-6 * self.counters.read(handout.WORK)
+            self.progress.update(done, self.counters.read(handout.FAILED), share)
+        return self.interruption.asked()
+
+
+def work_on_blocks(
+    team: Team,
+    scenes: Scenes,
+    layout: Layout,
+    models: Models,
+    gathering: Gathering,
+    clock: Clock,
+) -> None:
+    """Compute blocks until none is left; raises Interrupted after what there is was made safe."""
+    order, cost = _order(scenes, team.todo, gathering.work)
+    counters, total = team.counters, float(cost.sum()) or 1.0
+    computer = _Computer(scenes, layout, models, team, gathering)
+    while (place := counters.next(handout.BLOCKS)) < len(order):
+        number = order[place]
+        with clock.part("blocks"):
+            rows, note = computer.compute(number, team.todo.mend.get(number))
+        if team.interruption.asked():
+            gathering.save()
+            raise interrupted(gathering.work.folder, team.interruption.signal)
+        with clock.part("output"):
+            gathering.add(rows, note)
+        gathering.work.drop_state(str(number))
+        counters.add(handout.FAILED, len(note["failed"]))
+        counters.add(handout.DONE, len(rows["table"]) - len(note["failed"]))
+        counters.add(handout.WORK, int(1e6 * cost[place] / total))
+        team.poke()
+
+
+def _order(scenes: Scenes, todo: Todo, work: Work) -> tuple[list[int], Array]:
+    """Blocks in the order of handing out, and what each costs.
+
+    Those first that an earlier run was at work on, then the costliest, so that ranks end together.
+    """
+    from qbxstokes.runs.cost import block_seconds
+
+    numbers = todo.numbers
+    if not numbers:
+        return [], np.empty(0)
+    cost = block_seconds(scenes)[numbers]
+    begun = {path.stem.removeprefix("state-") for path in work.parts("state")}
+    fresh = np.array([str(number) not in begun for number in numbers])
+    order = np.lexsort((-cost, fresh))
+    return [numbers[i] for i in order], cost[order]
+
+
+class _Computer:
+    """Computes blocks, keeping the bodies at hand from one to the next."""
+
+    def __init__(
+        self, scenes: Scenes, layout: Layout, models: Models, team: Team, gathering: Gathering
+    ) -> None:
+        self._scenes, self._layout, self._models, self._team = scenes, layout, models, team
+        self._gathering = gathering
+        self._workshop = Workshop(cache=models.cache)
+        self._body, _ = scenes.bodies
+        self._bodies: dict[int, Body] = {}
+
+    def compute(
+        self, number: int, only: list[int] | None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Rows of the file, and what is noted of the block.
+
+        only: the trajectories that are to be mended, None for all.
+        """
+        scenes, layout = self._scenes, self._layout
+        sweep = scenes.loaded.case.sweep
+        assert sweep is not None
+        simulations: list[Simulation] = []
+        sound: list[Array] = []
+        lost: dict[int, str] = {}
+        times = np.full(layout.samples, np.nan)
+        for scene, members in scenes.block(number).pieces:
+            chosen = members if only is None else members[np.isin(members, only)]
+            if not len(chosen):
+                continue
+            try:
+                simulations.append(self._simulation(scene, chosen))
+                sound.append(chosen)
+                times = scenes.scene(scene).plan.times
+            except QbxStokesError as error:
+                lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
+        index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
+        safe = _Safe(self._gathering, str(number), [] if only is None else index.tolist())
+        result = block.compute_block(
+            simulations,
+            times,
+            layout.quantities,
+            sweep.discard,
+            self._workshop,
+            scenes.pushed,
+            self._team.poke,
+            safe,
+        )
+        well = len(index) - len(lost)
+        result.failed |= {well + i: reason for i, reason in enumerate(lost.values())}
+        note = {
+            "block": number,
+            "mended": [] if only is None else index.tolist(),
+            "failed": {str(index[i]): reason for i, reason in result.failed.items()},
+            "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
+        }
+        return self._rows(index, well, times, result), note
+
+    def _rows(
+        self, index: Array, well: int, times: Array, result: block.BlockResult
+    ) -> dict[str, Array]:
+        """The rows of the trajectories `index`, of which the first `well` were computed."""
+        layout, n = self._layout, len(index)
+        table = np.zeros(n, dtype=layout.dtype)
+        for name in layout.dtype.names or ():
+            if layout.dtype[name].kind == "f":
+                table[name] = np.nan
+                table[name][:well] = result.summary.get(name, np.nan)
+        for name, column in coordinates_of(self._scenes, index).items():
+            table[name] = column
+        table["status"] = DONE
+        for i, reason in result.failed.items():
+            table["status"][i] = FAILED
+            table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
+        rows: dict[str, Array] = {"index": index, "table": table}
+        for name in layout.quantities:
+            rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
+            rows[name][:well] = result.quantities[name]
+        if layout.quantities and layout.times is None:
+            rows["time"] = np.tile(times, (n, 1))
+        return rows
+
+    def _simulation(self, number: int, index: Array) -> Simulation:
+        """Some trajectories of a scene as the lanes of a simulation."""
+        body = int(self._body[number])
+        if body in self._models.errors:
+            raise self._models.errors[body]
+        scene = self._scenes.scene(number)
+        if body not in self._bodies:
+            self._bodies[body] = body_of(scene.loaded)
+        starts = block.starts_of(scene.loaded, self._scenes.space.values(index), len(index))
+        return simulation_of(scene.loaded, self._bodies[body], starts)
+
+
+class _Safe:
+    """Keeps the state of a block in work on disk: see `block.Keeper`."""
+
+    def __init__(self, gathering: Gathering, name: str, only: list[int]) -> None:
+        self._gathering, self._name, self._only = gathering, name, only
+
+    def late(self, ahead: float) -> bool:
+        """Whether the state is to be saved now, the next chance being so many seconds ahead."""
+        return self._gathering.late(ahead)
+
+    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        """Make the state safe, and whatever else this rank has finished."""
+        self._gathering.save()
+        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
+
+    def load(self) -> tuple[dict[str, Array], dict[str, Any]] | None:
+        """The state that an earlier run has left of this block, None without one."""
+        found = self._gathering.work.state(self._name)
+        return found if found is not None and found[1]["only"] == self._only else None
