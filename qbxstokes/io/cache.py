@@ -1,22 +1,18 @@
 """Operators and functionals on disk, kept between runs.
 
-One entry is one `.npz` file named after the hash of its key. The key holds everything that
+One entry is one file (`io.store`) named after the hash of its key. The key holds everything that
 determines the arrays: body, scheme, what was solved, and a fingerprint of the sources that compute
-them; so an entry never has to be invalidated, only found or not. Entries are written to a file of
-their own name beside the target and moved over it, which other ranks and processes see at once or
-not at all. An entry that cannot be read, or that holds another key than its name promises, is told
-in `problems` and counts as missing.
+them; so an entry never has to be invalidated, only found or not. Entries appear whole or not at
+all, whatever other ranks and processes do. An entry that cannot be read, or that holds another key
+than its name promises, is told in `problems` and counts as missing.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import sys
-import tempfile
-import zipfile
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -25,7 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT_VERSION = 1
+from qbxstokes.io.store import DamagedPart, read_part, write_part
+
+FORMAT_VERSION = 2
 ENVIRONMENT = "QBXSTOKES_CACHE"
 # Packages whose sources determine the arrays.
 _NUMERICAL = ("geometry", "qbx", "bie")
@@ -90,19 +88,13 @@ class Cache:
         text = _text(kind, key)
         path = self._path(kind, text)
         try:
-            # Reading a member checks its CRC, so that truncation and flipped bits are seen.
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays, note = read_part(path)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, SyntaxError) as error:
-            reason = " ".join(str(error).split())
-            self.problems.append(f"{path}: unreadable ({reason}); computed anew")
+        except (OSError, DamagedPart) as error:
+            self.problems.append(f"{path}: unreadable ({error}); computed anew")
             return None
-        except Exception as error:  # zlib.error and what else a damaged header provokes
-            self.problems.append(f"{path}: unreadable ({type(error).__name__}); computed anew")
-            return None
-        if not isinstance(arrays, dict) or str(arrays.pop(_KEY, "")) != text:
+        if note.get(_KEY) != text:
             self.problems.append(f"{path}: not the entry that its name promises; computed anew")
             return None
         self.found += 1
@@ -114,23 +106,16 @@ class Cache:
             return
         text = _text(kind, key)
         path = self._path(kind, text)
-        temporary = ""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(suffix=".part", dir=self.folder)
-            with os.fdopen(handle, "wb") as stream:
-                np.savez(stream, **{_KEY: np.array(text)}, **arrays)
-            os.replace(temporary, path)
+            write_part(path, arrays, {_KEY: text})
             self.stored += 1
         except OSError as error:
-            if temporary:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary)
             self.problems.append(f"{path}: not written ({error.strerror or error})")
 
     def _path(self, kind: str, text: str) -> Path:
         assert self.folder is not None
-        return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
+        return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.h5"
 
 
 def open_cache(named: str | None, off: bool = False) -> Cache:

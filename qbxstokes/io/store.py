@@ -126,8 +126,8 @@ class Work:
 
     target: the result. writer: number of this process among those at work; the first holds the
     lock. run: how many runs have been at work here, this one included. identity: what the numbers
-    depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be put
-    into the result that is there.
+    depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be
+    put into the result that is there.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
         return {
             "run": int(found["run"]),
             "identity": dict(found["identity"]),
-            "mends": bool(found["mends"]),
+            "mends": bool(found.get("mends")),
         }
     except (OSError, ValueError, KeyError, TypeError):
         return None
