@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -15,11 +16,11 @@ from qbxstokes.io import cache as cache_module
 from qbxstokes.io.cache import Cache, default_folder
 
 KEY = {"aspect_ratio": 0.1, "scheme": {"n_theta": 6}}
-ARRAYS = {"weights": np.arange(6.0).reshape(2, 3), "size": np.array(3)}
+ARRAYS = {"weights": np.arange(6.0).reshape(2, 3), "size": np.array(3), "word": np.array("Φ")}
 
 
 def entry(folder):
-    (path,) = folder.glob("*.npz")
+    (path,) = folder.glob("*.h5")
     return path
 
 
@@ -32,7 +33,7 @@ def test_what_is_stored_is_found_bit_by_bit(tmp_path):
     assert set(found) == set(ARRAYS)
     assert all(np.array_equal(found[name], ARRAYS[name]) for name in ARRAYS)
     assert kept.problems == []
-    assert [path.suffix for path in kept.folder.iterdir()] == [".npz"]
+    assert [path.suffix for path in kept.folder.iterdir()] == [".h5"]
 
 
 @pytest.mark.parametrize(
@@ -85,7 +86,7 @@ def foreign(path):
 
 def of_another_body(path):
     Cache(path.parent).store("body", {**KEY, "aspect_ratio": 7.0}, ARRAYS)
-    (other,) = (each for each in path.parent.glob("*.npz") if each != path)
+    (other,) = (each for each in path.parent.glob("*.h5") if each != path)
     os.replace(other, path)
 
 
@@ -94,12 +95,13 @@ def plain_array(path):
     os.replace(path.with_suffix(".npy"), path)
 
 
-def pickled(path):
-    np.savez(path, key=np.array({"a": 1}, dtype=object))
+def without_a_note(path):
+    with h5py.File(path, "w") as file:
+        file["weights"] = ARRAYS["weights"]
 
 
 @pytest.mark.parametrize(
-    "damage", [truncated, empty, flipped, foreign, of_another_body, plain_array, pickled]
+    "damage", [truncated, empty, flipped, foreign, of_another_body, plain_array, without_a_note]
 )
 def test_damage_is_told_and_mended(tmp_path, damage):
     kept = Cache(tmp_path)

@@ -80,13 +80,15 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
         text = np.frombuffer(json.dumps(note).encode(), dtype=np.uint8)
         for name, values in {**arrays, _NOTE: text}.items():
             data = np.asarray(values)
-            checked: dict[str, Any] = (
-                {"fletcher32": True, "chunks": data.shape} if data.size else {}
-            )
-            if data.ndim == 0:
-                checked, data = {"fletcher32": True, "chunks": (1,)}, data.reshape(1)
+            kind = {"scalar": data.ndim == 0, "text": data.dtype.kind == "U"}
+            if kind["text"]:
+                data = np.char.encode(data, "utf-8")
+            data = np.atleast_1d(data)
+            checked: dict[str, Any] = {}
+            if data.size:
+                checked = {"fletcher32": True, "chunks": data.shape}
             item = file.create_dataset(name, data=data, track_times=False, **checked)
-            item.attrs["scalar"] = np.asarray(values).ndim == 0
+            item.attrs.update(kind)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
@@ -109,13 +111,18 @@ def read_part(
         with h5py.File(path, "r") as file:
             note = json.loads(file[_NOTE][()].tobytes())
             wanted = [name for name in file if name != _NOTE] if names is None else names
-            arrays = {
-                name: file[name][0] if file[name].attrs["scalar"] else file[name][()]
-                for name in wanted
-            }
+            arrays = {name: _read(file[name]) for name in wanted}
     except Exception as error:  # h5py reports damage by errors of many kinds
         raise DamagedPart(f"{path}: {' '.join(str(error).split())}") from None
     return arrays, note
+
+
+def _read(item: Any) -> Array:
+    """A dataset as it was before it was packed."""
+    data: Array = item[()]
+    if item.attrs["text"]:
+        data = np.char.decode(data, "utf-8")
+    return np.asarray(data[0]) if item.attrs["scalar"] else data
 
 
 # -- working folders ------------------------------------------------------------------------------
