@@ -76,19 +76,22 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
     """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading."""
     import h5py
 
+    kinds = {
+        name: kind
+        for name, values in arrays.items()
+        for kind in [{"scalar": np.ndim(values) == 0, "text": np.asarray(values).dtype.kind == "U"}]
+        if any(kind.values())
+    }
+    text = json.dumps({"note": note, "kinds": kinds}).encode()
     with h5py.File("part", "w", driver="core", backing_store=False) as file:
-        text = np.frombuffer(json.dumps(note).encode(), dtype=np.uint8)
-        for name, values in {**arrays, _NOTE: text}.items():
-            data = np.asarray(values)
-            kind = {"scalar": data.ndim == 0, "text": data.dtype.kind == "U"}
-            if kind["text"]:
+        for name, values in {**arrays, _NOTE: np.frombuffer(text, dtype=np.uint8)}.items():
+            data = np.atleast_1d(values)
+            if data.dtype.kind == "U":
                 data = np.char.encode(data, "utf-8")
-            data = np.atleast_1d(data)
             checked: dict[str, Any] = {}
             if data.size:
                 checked = {"fletcher32": True, "chunks": data.shape}
-            item = file.create_dataset(name, data=data, track_times=False, **checked)
-            item.attrs.update(kind)
+            file.create_dataset(name, data=data, track_times=False, **checked)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
@@ -109,20 +112,18 @@ def read_part(
         raise FileNotFoundError(2, "No such file", str(path))
     try:
         with h5py.File(path, "r") as file:
-            note = json.loads(file[_NOTE][()].tobytes())
+            told = json.loads(file[_NOTE][()].tobytes())
             wanted = [name for name in file if name != _NOTE] if names is None else names
-            arrays = {name: _read(file[name]) for name in wanted}
+            arrays = {name: file[name][()] for name in wanted}
+        for name in arrays.keys() & told["kinds"].keys():
+            if told["kinds"][name]["text"]:
+                arrays[name] = np.char.decode(arrays[name], "utf-8")
+            if told["kinds"][name]["scalar"]:
+                arrays[name] = np.asarray(arrays[name][0])
+        note = told["note"]
     except Exception as error:  # h5py reports damage by errors of many kinds
         raise DamagedPart(f"{path}: {' '.join(str(error).split())}") from None
     return arrays, note
-
-
-def _read(item: Any) -> Array:
-    """A dataset as it was before it was packed."""
-    data: Array = item[()]
-    if item.attrs["text"]:
-        data = np.char.decode(data, "utf-8")
-    return np.asarray(data[0]) if item.attrs["scalar"] else data
 
 
 # -- working folders ------------------------------------------------------------------------------
