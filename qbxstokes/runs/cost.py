@@ -12,11 +12,13 @@ and so is what a file system shared by many nodes adds.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from qbxstokes.bie.exact import exact_model
+from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble
@@ -25,6 +27,8 @@ from qbxstokes.simulation.simulation import Simulation
 
 # Bodies from which on some of a block need shorter steps than its first.
 SEVERAL = 8
+# About how many points of a surface a flow that is not polynomial is asked for.
+SURFACE_POINTS = 72
 
 
 @dataclass(frozen=True)
@@ -32,9 +36,10 @@ class Constants:
     """Processor times on one core (s), and steps over those that are forecast.
 
     rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
-    flow (constant or linear, quadratic, cubic), and in any other flow; centred: in a linear flow in
-    which no body leaves its place. call: per right-hand side of
-    a block, whatever it holds. steps_*: of a block of several bodies over the forecast for one.
+    flow (constant or linear, quadratic, cubic), and in any other flow, without what its own function
+    takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place. call: per
+    right-hand side of a block, whatever it holds; call_general: in a flow that is not polynomial.
+    steps_*: of a block of several bodies over the forecast for one.
     sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
     integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
     another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
@@ -48,8 +53,9 @@ class Constants:
     rhs_inertial_linear: float = 1.3e-7
     rhs_inertial_quadratic: float = 1.5e-7
     rhs_inertial_cubic: float = 1.6e-7
-    rhs_general: float = 5e-5
+    rhs_general: float = 3.5e-5
     call: float = 3e-6
+    call_general: float = 7e-4
     steps_massless: float = 2.0
     steps_inertial: float = 1.6
     sample: float = 1e-6
@@ -166,13 +172,28 @@ def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.
     return np.asarray(np.interp(np.arange(scenes.size), known, values))
 
 
+def flow_seconds(flow: Flow, place: np.ndarray) -> float:
+    """What a flow's own function takes for one body at a right-hand side, measured now (s)."""
+    points = np.tile(place, (16 * SURFACE_POINTS, 1))
+    best = float("inf")
+    for _ in range(3):
+        begin = time.perf_counter()
+        flow.velocity(points, 0.0)
+        best = min(best, time.perf_counter() - begin)
+    return best / 16.0
+
+
 def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
     """Integration time of every block."""
     case, flow = scenes.loaded.case, scenes.loaded.flow
     seconds = constants.rhs(case.body.stokes_number > 0, flow.degree, scenes.centred)
+    call = constants.call
+    if flow.degree is None or flow.degree > 3:
+        call = constants.call_general
+        seconds += flow_seconds(flow, scenes.scene(0).plan.simulation.position[0])
     calls = weights(scenes, constants)[scenes.scene_of_block()]
     fixed = constants.block + scenes.samples * constants.block_sample
-    return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + constants.call))
+    return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + call))
 
 
 def estimate(scenes: Scenes, row_bytes: int, constants: Constants = XEON) -> Estimate:
