@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -152,6 +151,8 @@ def _optional(section: str) -> bool:
 
 def nearest(word: str, known: Sequence[str]) -> str | None:
     """The known word that `word` most resembles, if any does."""
+    import difflib
+
     matches = difflib.get_close_matches(word.lower(), [name.lower() for name in known], 1, 0.6)
     return next((name for name in known if matches and name.lower() == matches[0]), None)
 

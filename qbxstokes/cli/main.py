@@ -7,7 +7,6 @@ is wrong (case file, command line, file named in them); 130 interrupted.
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import os
 import re
@@ -92,6 +91,8 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         wrong = re.fullmatch(r"unrecognized arguments: (--\S+).*", message)
         if wrong:
+            import difflib
+
             close = difflib.get_close_matches(wrong[1], self._option_string_actions, 1)
             message = f"{wrong[1]}: unknown option" + (
                 f"; did you mean {close[0]}?" if close else ""
@@ -100,7 +101,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parse(own: Sequence[str]) -> argparse.Namespace:
-    parser = _Parser(prog="qbxstokes", add_help=False, allow_abbrev=False)
+    parser = _Parser(prog="qbxstokes", usage=USAGE, add_help=False, allow_abbrev=False)
     parser.add_argument("words", nargs="*")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")
@@ -142,6 +143,8 @@ def run_command(arguments: Sequence[str]) -> int:
             first, commands = options.words[0], (*_COMMANDS, "plot", "animate")
             if Path(first).suffix in (".yaml", ".yml"):
                 raise CaseError(f"command line: {options.words[1]}: one case at a time")
+            import difflib
+
             close = difflib.get_close_matches(first, commands, 1)
             right = f"did you mean {close[0]}?" if close else f"commands: {', '.join(commands)}"
             raise CaseError(

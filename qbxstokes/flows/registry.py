@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,6 +55,8 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
     rest = dict(spec) if directory is None else resolve_paths(spec, directory)
     name = rest.pop("type", None)
     if name not in REGISTRY:
+        import difflib
+
         near = difflib.get_close_matches(str(name), REGISTRY, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known flows: {', '.join(REGISTRY)}"
         what = "flow needs a key 'type'" if name is None else f"unknown flow type {name!r}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +18,8 @@ def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> Non
     """Raise FlowError naming the nearest known key if `spec` holds an unknown one."""
     for key in spec:
         if key not in known:
+            import difflib
+
             near = difflib.get_close_matches(str(key), known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
             raise FlowError(f"flow {type_name!r} has no key {key!r}; {hint}", (str(key),))

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from qbxstokes.petsc.launch import starting_mpi
+
 # Whoever holds objects of PETSc that call Python, and may still do so when the interpreter ends.
 LIVE: weakref.WeakSet[Any] = weakref.WeakSet()
 
@@ -25,8 +27,9 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
 
     if "petsc4py.PETSc" not in sys.modules:
         gc.freeze()  # nothing so far holds an object of PETSc: `_release` need not look through it
-    petsc4py.init(["qbxstokes", *arguments])
-    from petsc4py import PETSc
+    with starting_mpi():
+        petsc4py.init(["qbxstokes", *arguments])
+        from petsc4py import PETSc
 
     atexit.unregister(_release)
     atexit.register(_release)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from qbxstokes.errors import QbxStokesError
+from qbxstokes.petsc.launch import starting_mpi
 
 T = TypeVar("T")
 
@@ -18,7 +19,8 @@ _POLL = 2e-3  # seconds between looks of a waiting rank
 
 def world() -> Any:
     """The communicator of all ranks (starts MPI)."""
-    from mpi4py import MPI
+    with starting_mpi():
+        from mpi4py import MPI
 
     return MPI.COMM_WORLD
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
-from qbxstokes.io.result import Result
 
 if TYPE_CHECKING:
     import argparse
 
     from qbxstokes.case.load import LoadedCase
+    from qbxstokes.io.result import Result
 
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider

@@ -29,7 +29,6 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Inertia, Loads
-from qbxstokes.simulation.around import AroundBody, Instant
 from qbxstokes.simulation.hydrodynamics import (
     Former,
     Hydrodynamic,
@@ -330,6 +329,8 @@ class Body:
         >>> np.round(field["velocity"][:, 0], 9) + 0.0  # 1 - 3/(4 r) - 1/(4 r^3) beside a sphere
         array([0.59375, 0.     ])
         """
+        from qbxstokes.simulation.around import AroundBody, Instant
+
         x, q, _ = places(position, orientation)
         v, omega = (
             None if u is None else np.asarray(u, dtype=np.float64)

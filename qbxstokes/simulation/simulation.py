@@ -23,7 +23,6 @@ from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
-from qbxstokes.simulation.writing import to_case
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -220,6 +219,8 @@ class Simulation:
 
         times: instants to store. Raises SceneError naming what no file holds, such as a function.
         """
+        from qbxstokes.simulation.writing import to_case
+
         return written(to_case(self, times))
 
     @staticmethod

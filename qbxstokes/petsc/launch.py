@@ -1,0 +1,68 @@
+"""How MPI starts: by itself for a process that no launcher has started.
+
+Open MPI launches a daemon for such a process, and loads the networks of the machine, so that it
+might be joined by others. Half of the time that a short run takes goes into that, for nothing: one
+process has nobody to talk to. Other implementations of MPI do not read what is set here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count, takewhile
+
+# Starts of names that launchers and resource managers give to the processes they start.
+_LAUNCHERS = (
+    *("OMPI_COMM_WORLD_", "OMPI_UNIVERSE_", "PMI_", "PMIX_", "HYDRA_", "HYDI_", "MPIEXEC_"),
+    *("MPI_LOCAL", "MPIRUN_", "MV2_COMM_WORLD_", "PALS_", "ALPS_", "SLURM_", "FLUX_", "JSM_"),
+)
+# Starts of names that Open MPI gives to what it keeps in the environment.
+_OPEN_MPI = ("OMPI_", "ORTE_", "PMIX_", "PRTE_")
+# No daemon; nothing but messages of a process to itself.
+_ALONE = {
+    "OMPI_MCA_ess_singleton_isolated": "1",
+    "OMPI_MCA_btl": "self",
+    "OMPI_MCA_pml": "ob1",
+}
+
+
+def launched() -> bool:
+    """Whether a launcher has started this process, alone or with others."""
+    return any(name.startswith(_LAUNCHERS) for name in os.environ)
+
+
+@contextmanager
+def starting_mpi() -> Iterator[None]:
+    """Import what starts MPI in here.
+
+    What the user has set in the environment stands. What is set here, and what Open MPI makes of
+    it, is gone afterwards: a program started by this one, `mpirun` say, does not take itself for a
+    part of it.
+    """
+    started = "mpi4py.MPI" in sys.modules or "petsc4py.PETSc" in sys.modules
+    if started or launched():
+        yield
+        return
+    added = {name: value for name, value in _ALONE.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+        for name in _environment() - set(os.environ):
+            if name.startswith(_OPEN_MPI):
+                os.unsetenv(name)
+
+
+def _environment() -> set[str]:
+    """Names in the environment of C, which is what programs inherit; none where it is hidden."""
+    try:
+        entries = ctypes.POINTER(ctypes.c_char_p).in_dll(ctypes.CDLL(None), "environ")
+    except (OSError, ValueError):
+        return set()
+    listed = takewhile(lambda entry: entry is not None, (entries[i] for i in count()))
+    return {os.fsdecode(entry.partition(b"=")[0]) for entry in listed if entry is not None}
