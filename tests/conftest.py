@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,14 @@ ENVIRONMENT = THREADS | {
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 See = Callable[..., None]
+
+
+def script(name: str) -> Any:
+    """A script below cases/ as a module, with those beside it that it imports."""
+    path = ROOT / "cases" / f"{name}.py"
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    return import_module(path.stem)
 
 
 def random_flow(degree: int, rng: np.random.Generator) -> PolynomialFlow:

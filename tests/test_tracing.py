@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import random_flow
+from conftest import random_flow, script
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -130,9 +130,7 @@ def count_operations(source: str) -> int:
 
 def test_zeros_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A shear costs no more arithmetic than its closed form; a sphere needs no axis."""
-    from qbxstokes.app.benchmark.step import closed_form
-
-    closed = count_operations(inspect.getsource(closed_form))
+    closed = count_operations(inspect.getsource(script("benchmarks/step").closed_form))
     shear = RigidBodyEquations(exact_model(0.5), Shear())
     assert operations(shear, monkeypatch) <= 1.2 * closed
     slender, sphere = (

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.accuracy import accurate_body
 from qbxstokes.bie.functional import stokes_polynomials
 from qbxstokes.bie.resolution import confocal_rate, flow_nodes, resolving_nodes
+from qbxstokes.bie.resolution import confocal_rate, flow_nodes, resolving_nodes
 from qbxstokes.flows import Flow, PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.geometry import rotation
@@ -28,15 +29,14 @@ from qbxstokes.reference import faxen
 Array = NDArray[np.float64]
 
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
-EXTREME = 50.0
 # Share of the tolerance that the resolution of a singular flow may take, as in a run.
 SHARE = 0.1
 ORDER = 150  # of the quadrature in the exact laws
 
 
-def random_sample(rng: np.random.Generator) -> tuple[float, Array, Flow]:
+def random_sample(rng: np.random.Generator, extreme: float = 50.0) -> tuple[float, Array, Flow]:
     """Aspect ratio, orientation (a quaternion) and flow about the body at the origin."""
-    k = float(EXTREME ** rng.uniform(-1.0, 1.0))
+    k = float(extreme ** rng.uniform(-1.0, 1.0))
     q = rotation.random_quaternions(1, rng)[0]
     if rng.uniform() < 0.5:
         degree = int(rng.integers(1, 4))

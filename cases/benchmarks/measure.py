@@ -6,7 +6,7 @@ import argparse
 import csv
 import inspect
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -71,9 +71,9 @@ def seconds_each(action: Callable[[], Any], repeats: int) -> float:
     return timed(lambda: [action() for _ in range(count)], repeats)[0] / count
 
 
-def turns(actions: dict[str, Callable[[], float]], rounds: int) -> dict[str, Sequence[float]]:
+def turns(actions: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[Any]]:
     """What the actions return, in turns, so that a busy machine disturbs all alike."""
-    found: dict[str, list[float]] = {name: [] for name in actions}
+    found: dict[str, list[Any]] = {name: [] for name in actions}
     for _ in range(rounds):
         for name, action in actions.items():
             found[name].append(action())

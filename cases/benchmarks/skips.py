@@ -26,7 +26,7 @@ from qbxstokes.flows.named import Paraboloid, Shear
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion import kernels
+from qbxstokes.motion import kernels, law
 from qbxstokes.motion.equations import RigidBodyEquations, pack_table
 from qbxstokes.petsc import session
 from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
@@ -94,7 +94,7 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     yield "integral equation at a step", by_solve, by_grid
     table = partial(equations.velocities, 0.0, state)
     yield "flow on the surface at a step", by_grid, lambda: np.concatenate(table())
-    constants = (*kernels.tables(pack_table(Shear(), model).tolist()), None, None)
+    constants = (*law.tables(pack_table(Shear(), model).tolist()), None, None)
     general = many(lambda t, rows: kernels.massless(*rows, *constants), state)
     specialised = many(equations.rate_of_rows, state)
     yield "terms that are zero at a right-hand side", general, specialised

@@ -1,15 +1,12 @@
-"""What a sweep costs: constants of the cost model fitted here, and its word on many ranks.
+"""What a sweep costs: the constants by which `--dry-run` reckons, fitted to sweeps.
 
-The model is that of `qbxstokes/runs/cost.py`, by which `--dry-run` and `--explain` reckon. Its
-constants are told by sweeps of random orientations that differ in one thing each; seconds are those
-of the parts of the command beyond the ones of a sweep of two trajectories.
+The model is that of `qbxstokes/runs/cost.py`. Its constants are told by sweeps of random
+orientations that differ in one thing each; seconds are those of the parts of the command beyond the
+ones of a sweep of two trajectories.
 
     python cases/benchmarks/sweeps.py [--small] [--csv]
 
-5 min, two cores. Expected: the model within a factor of 1.4 of the sweeps; for 1e7 inertial
-trajectories of ten periods 6 hours on one core, 35 s on 1,000 ranks and 15 s on 10,000, where the
-layout of the file on one rank and the last block (`sweep.block`) bound the speed-up. Start-up, and
-a file system that several nodes share, are not in the model.
+4 min. Expected: the model, with these constants, within a factor of 1.4 of each sweep.
 """
 
 from __future__ import annotations
@@ -18,16 +15,16 @@ import json
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from command import launcher, run
+from command import run
 from measure import Rows, command
 
 from qbxstokes.case.load import load_case
-from qbxstokes.runs.cost import XEON, Constants, Estimate, estimate, weights
+from qbxstokes.runs.cost import XEON, estimate, weights
 from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep import layout_of
 
@@ -38,31 +35,6 @@ FLOWS = {
     "quadratic": "{u1: {x2: 1, x2^2: 0.25, x3^2: 0.25}}",
     "cubic": "{u1: {'1': 1.0e-9, x2: 1, x2^3: 0.1}, u2: {x1^3: 0.1}}",
 }
-# What the prediction for many ranks is made of.
-LARGE = """\
-body: {aspect_ratio: 0.5, stokes_number: 10}
-flow: {type: shear}
-time: {periods: 10, samples: 2, tolerance: 1e-8}
-sweep:
-  store: summary
-  axes:
-    - start.orientation: {random: axes, count: 10000000, seed: 1}
-"""
-# Mean time of one of many numbers that two ranks take at once.
-HANDOUT = """\
-import time
-from mpi4py import MPI
-from qbxstokes.runs.handout import BLOCKS, HandOut
-counters = HandOut(MPI.COMM_WORLD)
-counters.wait()
-begin = time.perf_counter()
-while counters.next(BLOCKS) < {count}:
-    pass
-counters.wait()
-if MPI.COMM_WORLD.rank == 0:
-    print((time.perf_counter() - begin) / {count})
-counters.close()
-"""
 
 
 @dataclass(frozen=True)
@@ -114,29 +86,26 @@ class Timed:
         return self.parts["blocks"] - fixed
 
 
-def timed(trial: Trial, folder: Path, words: Sequence[str]) -> Timed:
+def timed(trial: Trial, folder: Path) -> Timed:
     """Run a trial."""
-    path = folder / "sweep.yaml"
-    few = replace(trial, count=2)
-    told(few, path, words)  # compiles what has not been compiled yet
-    start, all_of_it = (told(one, path, words) for one in (few, trial))
-    spent, spared = all_of_it["wall_times"], start["wall_times"]
+    path, few = folder / "sweep.yaml", replace(trial, count=2)
+    told(few, path)  # compiles what has not been compiled yet
+    start, end = told(few, path), told(trial, path)
+    spent, spared = end["wall_times"], start["wall_times"]
     parts = {n: spent.get(n, 0.0) - spared.get(n, 0.0) for n in ("blocks", "output", "waiting")}
     scenes = Scenes(load_case(path))
-    return Timed(trial, parts, all_of_it["rhs_evaluations"], scenes, layout_of(scenes).row_bytes)
+    return Timed(trial, parts, end["rhs_evaluations"], scenes, layout_of(scenes).row_bytes)
 
 
-def told(trial: Trial, path: Path, words: Sequence[str], *more: str) -> dict[str, Any]:
+def told(trial: Trial, path: Path, *more: str) -> dict[str, Any]:
     """What the command says of a trial."""
     path.write_text(trial.text())
-    options = ["--json", "--overwrite", "--progress", "none", *more]
-    told: dict[str, Any] = json.loads(
-        run([*words, "-m", "qbxstokes", path.name, *options], path.parent).output
-    )
+    words = [sys.executable, "-m", "qbxstokes", path.name, "--json", "--overwrite", *more]
+    told: dict[str, Any] = json.loads(run([*words, "--progress", "none"], path.parent).output)
     return told
 
 
-def fitted(done: dict[str, Timed], handout: float, model: float) -> dict[str, float]:
+def fitted(done: dict[str, Timed]) -> dict[str, float]:
     """The constants that the trials, by name, tell.
 
     Blocks: seconds = evaluations (rhs + call/bodies) + samples sample + blocks block, four trials
@@ -150,7 +119,6 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> dict[str, fl
     layout, byte = np.linalg.solve(system, [t.parts["output"] for t in two])
     values = dict(zip(("call", "sample", "block"), rest, strict=True))
     values |= {"rhs_massless_linear": rhs, "layout": layout, "stored_byte": byte}
-    values |= {"handout": handout, "model": model}
     for name, t in done.items():
         kind, _, flow = name.removesuffix(" flow").partition(", ")
         if flow in FLOWS:
@@ -166,7 +134,7 @@ def fitted(done: dict[str, Timed], handout: float, model: float) -> dict[str, fl
 def trials(size: int, flows: Sequence[str]) -> list[Trial]:
     """Those that tell the constants."""
     base = Trial("massless, shear", 1024 * size)
-    few = replace(base, count=128 * size)
+    few, other = replace(base, count=128 * size), replace(base, count=512 * size)
     return [
         base,
         replace(few, name="small blocks", block=8),
@@ -175,60 +143,33 @@ def trials(size: int, flows: Sequence[str]) -> list[Trial]:
         replace(few, name="all samples stored", samples=401, store="samples"),
         replace(base, name="many short ones", periods=0.01, count=8192 * size),
         *(
-            replace(
-                base, name=f"{kind}, {flow} flow", flow=flow, stokes_number=st, count=512 * size
-            )
-            for kind, st in (("massless", 0.0), ("inertial", 10.0))
+            replace(other, name=f"{kind}, {flow} flow", flow=flow, stokes_number=stokes_number)
+            for kind, stokes_number in (("massless", 0.0), ("inertial", 10.0))
             for flow in flows
             if (kind, flow) != ("massless", "linear")
         ),
     ]
 
 
-def compared(timed: Timed, ranks: int, constants: Constants) -> dict[str, Any]:
-    """A row of the model against a sweep; its body comes from the cache."""
-    cost = estimate(timed.scenes, timed.row_bytes, replace(constants, model=0.0))
-    spent, predicted, count = sum(timed.parts.values()), cost.seconds(ranks), timed.trial.count
-    row = {"sweep": timed.trial.name, "trajectories": count, "ranks": ranks}
-    row |= {"microseconds_each": 1e6 * ranks * spent / count, "measured": spent}
-    return row | {"predicted": predicted, "ratio": spent / predicted}
-
-
-def many(cost: Estimate) -> Rows:
-    """What the model says of up to 10,000 ranks."""
-    rows: Rows = []
-    for ranks in (1, 2, 10, 100, 1000, 10_000):
-        total = cost.seconds(ranks)
-        row = {"ranks": ranks, "time": total, "efficiency": cost.work / total / ranks}
-        rows.append(row | cost.parts(ranks))
-    return rows
-
-
 def main(small: bool = False) -> dict[str, Rows]:
-    """Constants, the model against sweeps that were run, and its word on many ranks."""
-    size = 1 if small else 16
-    two = launcher(2)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        wanted = trials(size, ("linear", "centred") if small else tuple(FLOWS))
-        done = {trial.name: timed(trial, folder, [sys.executable]) for trial in wanted}
-        parallel = timed(wanted[0], folder, two)
-        code = HANDOUT.format(count=1000 if small else 100_000)
-        handout = float(run([*two, "-c", code], folder).output)
-        formed = told(Trial("", 2), folder / "body.yaml", [sys.executable], "--no-cache")
-        values = fitted(done, handout, formed["wall_times"]["models"])
-        constants = replace(XEON, **values)
-        (folder / "large.yaml").write_text(LARGE)
-        scenes = Scenes(load_case(folder / "large.yaml"))
-        cost = estimate(scenes, layout_of(scenes).row_bytes, constants)
-    known = asdict(XEON)
-    rows = [
-        {"constant": item.name, "measured": values.get(item.name), "known": known[item.name]}
-        for item in fields(XEON)
+    """Constants, and the model against the sweeps that were run."""
+    wanted = trials(1 if small else 16, ("linear", "centred") if small else tuple(FLOWS))
+    with tempfile.TemporaryDirectory() as folder:
+        done = {trial.name: timed(trial, Path(folder)) for trial in wanted}
+        formed = told(Trial("", 2), Path(folder, "body.yaml"), "--no-cache")
+    values = fitted(done) | {"model": formed["wall_times"]["models"]}
+    constants = [
+        {"constant": name, "measured": value, "known": getattr(XEON, name)}
+        for name, value in values.items()
     ]
-    runs = [(t, 1) for t in done.values()] + [(parallel, 2)]
-    model = [compared(t, ranks, constants) for t, ranks in runs]
-    return {"sweep_constants": rows, "sweep_model": model, "sweep_ranks": many(cost)}
+    model: Rows = []
+    now = replace(XEON, **(values | {"model": 0.0}))  # the body comes from the cache
+    for name, t in done.items():
+        spent = sum(t.parts.values())
+        predicted = estimate(t.scenes, t.row_bytes, now).seconds(1)
+        row = {"sweep": name, "trajectories": t.trial.count, "measured": spent}
+        model.append(row | {"predicted": predicted, "ratio": spent / predicted})
+    return {"sweep_constants": constants, "sweep_model": model}
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ J. Bagge 2015, KTH, chapter 5, for the uniform scheme: points on the front of er
 a scan over n_theta, p, r/h and upsampling, each against the graded scheme at no larger error. Both
 by rotational and mirror symmetry, by the same kernels, two modes.
 
-    python cases/benchmarks/setup.py [--small] [--csv]
+    python cases/benchmarks/setup_time.py [--small] [--csv]
 
 2 min. Times are processor times of this thread, which does all the work; reading back from the
 cache is wall time. Expected: uniform 50 to 150 times slower where it is at its best, a few times

@@ -1,0 +1,139 @@
+"""The benchmarks of cases/benchmarks, small: what is timed gives equal numbers, bounds hold."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ENVIRONMENT, ROOT, Run, script
+
+from qbxstokes.geometry import rotation
+from qbxstokes.reference import jeffery
+
+FOLDER = ROOT / "cases" / "benchmarks"
+SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "measure")
+Rows = list[dict[str, Any]]
+
+
+def column(rows: Rows, name: str) -> np.ndarray:
+    return np.array([row[name] for row in rows])
+
+
+def small(name: str) -> dict[str, Rows]:
+    tables: dict[str, Rows] = script(f"benchmarks/{name}").main(small=True)
+    assert all(rows and len({tuple(row) for row in rows}) == 1 for rows in tables.values())
+    return tables
+
+
+@pytest.mark.slow
+def test_honesty() -> None:
+    rows = small("honesty")["honesty"]
+    assert column(rows, "missed").tolist() == [0] * 4
+    assert np.all(column(rows, "within_100") > 0.5)
+
+
+def test_iterations() -> None:
+    for row in small("iterations")["iterations"]:
+        attainable = max(1e-11, np.finfo(float).eps * row["condition"])
+        assert max(row["plain_residual"], row["preconditioned_residual"]) <= attainable
+        assert row["preconditioned"] == 1 < row["plain"] < 30
+
+
+def test_setup() -> None:
+    tables = small("setup_time")
+    for row in tables["schemes"]:
+        assert row["graded_error"] <= row["error"]
+    for row in tables["setup"]:
+        assert row["error"] <= row["tolerance"]
+
+
+def test_every_way_to_a_right_hand_side_is_the_closed_form() -> None:
+    tables = small("step")
+    assert column(tables["step"], "difference").max() < 1e-10
+    assert tables["step"][0]["ratio"] == 1.0
+    assert column(tables["integrated"], "difference").max() < 1e-14
+    evaluations = column(tables["integrated"], "right_hand_sides").reshape(2, -1)
+    assert np.array_equal(evaluations, evaluations[:, :1].repeat(3, axis=1))  # the same steps
+
+
+def test_the_closed_form_is_jefferys() -> None:
+    closed_form = script("benchmarks/step").closed_form
+    for q in rotation.random_quaternions(5, np.random.default_rng(0)):
+        for k in (0.2, 1.0, 4.0):
+            rate = np.array(closed_form([1.0, 2.0, 3.0, *q], (1 - k * k) / (1 + k * k)))
+            turn = rotation.matrix(q)
+            gradient = turn.T @ np.array([[0.0, 1.0, 0.0], [0.0] * 3, [0.0] * 3]) @ turn
+            spin = turn @ jeffery.free_angular_velocity(k, gradient)
+            expected = 0.5 * rotation.multiply([0.0, *spin], q)
+            assert np.allclose(rate, [2.0, 0.0, 0.0, *expected], atol=1e-14)
+
+
+def test_blocks_are_as_accurate_as_the_loop_they_are_compared_with() -> None:
+    rows = small("batch")["batch"]
+    assert column(rows, "error").max() < 1e-6
+    assert rows[0]["ratio"] == 1.0
+    q = rotation.random_quaternions(2, np.random.default_rng(0))
+    starts = np.concatenate([np.zeros((2, 3)), q], axis=1)
+    scipy_loop = script("benchmarks/batch").scipy_loop
+    axes, evaluations, steps = scipy_loop(starts, jeffery.period(0.5), 1e-10)
+    assert np.allclose(axes, rotation.axis(q), atol=1e-8)
+    assert evaluations > 12 * steps > 100
+
+
+def test_field() -> None:
+    tables = small("field")
+    assert np.all(column(tables["field_accuracy"], "error") <= 1e-8)
+    assert [row["upsampling"] for row in tables["field_costs"]] == [None, 1]
+
+
+@pytest.mark.slow
+def test_skips() -> None:
+    assert column(small("skips")["skips"], "change").max() < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["command", "scaling", "sweeps"])
+def test_what_is_only_timed_is_timed(name: str) -> None:
+    small(name)
+
+
+@pytest.mark.parametrize("name", ["ranks.yaml", "ten_million.yaml"])
+def test_cases_say_what_they_are(name: str, run_cli: Run) -> None:
+    text = (FOLDER / name).read_text()
+    for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
+        assert word in text
+    done = run_cli(FOLDER / name, "--dry-run")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_scripts_say_what_they_are(name: str) -> None:
+    text = (FOLDER / f"{name}.py").read_text()
+    head = text.split('"""')[1]
+    assert f"python cases/benchmarks/{name}.py [--small] [--csv]" in head
+    assert re.search(r"^\d+ (s|min)[.,]", head, re.MULTILINE)
+    assert "Expected:" in head
+
+
+def test_a_script_prints_and_writes_its_tables(tmp_path: Path) -> None:
+    words = [sys.executable, str(FOLDER / "iterations.py"), "--small", "--csv"]
+    done = subprocess.run(
+        words,
+        cwd=tmp_path,
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    with (tmp_path / "iterations.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4
+    assert list(rows[0])[:4] == ["aspect_ratio", "problem", "condition", "plain"]
+    assert done.stdout.split()[1:3] == ["aspect_ratio", "problem"]
