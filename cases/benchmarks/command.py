@@ -1,9 +1,9 @@
 """The whole command from the shell against the bare imports of its base libraries.
 
-    python cases/benchmarks/command.py [--small] [--csv]
+Medians of processes that take turns, with a warm cache; memory (MB) is the largest resident one.
 
-1 min. Medians of processes that take turns, with a warm cache; memory (MB) is the largest resident
-one. Expected: the first case within 1.4 times the bare imports.
+Run:      python cases/benchmarks/command.py      (1 min; --small: 5 s; --csv)
+Expected: the first case within 1.4 times the bare imports.
 """
 
 from __future__ import annotations

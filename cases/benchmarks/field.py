@@ -1,13 +1,13 @@
 """The field: error from the surface to ten body lengths; cost of a point over its distance.
 
 The exact flow is that of a translating body (Chwang & Wu 1975), as a resistance problem (velocity
-given) and as a mobility problem (pushed by the force that goes with it). Errors are over the speed.
-`plain` is plain quadrature with the upsampling of a grid of 8 by 16 that the tolerance takes there.
+given) and as a mobility problem (pushed by the force that goes with it). Errors are over the speed,
+costs in microseconds per point with pressure and stress. `plain` is plain quadrature of the
+velocity with the upsampling of a grid of 8 by 16 that the tolerance takes there.
 
-    python cases/benchmarks/field.py [--small] [--csv]
-
-1 min. Expected: errors of a million points below every tolerance; a point costs the same at any
-distance by the table of harmonics, and near the surface plain upsampling cannot follow.
+Run:      python cases/benchmarks/field.py      (1 min; --small: 5 s; --csv)
+Expected: errors of a million points below every tolerance; a point costs a microsecond at any
+          distance by the table of harmonics, and near the surface plain upsampling cannot follow.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ The data are a random cubic polynomial. The preconditioner is the inverse of the
 azimuthal modes: exact but for rounding, so that a second iteration only mends what conditioning
 cost.
 
-    python cases/benchmarks/iterations.py [--small] [--csv]
-
-10 s. Expected: 1 iteration with it for k = 1/20 to 20, and 9 to 105 without; true residuals within
-ten times the tolerance, or eps times the condition number where rounding allows no more.
+Run:      python cases/benchmarks/iterations.py      (10 s; --small: 2 s; --csv)
+Expected: 1 iteration with it for k = 1/20 to 20, and 9 to 105 without; true residuals within ten
+          times the tolerance, or eps times the condition number where rounding allows no more.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""How every cost grows: exponents of time over size, fitted and expected.
+"""How every cost grows: exponents of time (ms) over size, fitted and expected.
 
-    python cases/benchmarks/scaling.py [--small] [--csv]
-
-1 min. Times in ms. Expected: exponents at most the expected ones, which hold for large sizes; one
-below it shows a cost that does not grow beside it.
+Run:      python cases/benchmarks/scaling.py      (1 min; --small: 5 s; --csv)
+Expected: exponents at most the expected ones, which hold for large sizes; one below it shows a cost
+          that does not grow beside it.
 """
 
 from __future__ import annotations

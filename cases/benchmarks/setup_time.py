@@ -2,14 +2,13 @@
 
 J. Bagge 2015, KTH, chapter 5, for the uniform scheme: points on the front of error against time of
 a scan over n_theta, p, r/h and upsampling, each against the graded scheme at no larger error. Both
-by rotational and mirror symmetry, by the same kernels, two modes.
+by rotational and mirror symmetry, by the same kernels, two modes. Times are processor times of this
+thread, which does all the work; reading back from the cache is wall time.
 
-    python cases/benchmarks/setup_time.py [--small] [--csv]
-
-2 min. Times are processor times of this thread, which does all the work; reading back from the
-cache is wall time. Expected: uniform 50 to 150 times slower where it is at its best, a few times
-where errors of a percent will do; 0.1 to 0.4 s to a tolerance with its estimate, a third of that
-without, 2 ms from the cache.
+Run:      python cases/benchmarks/setup_time.py      (2 min; --small: 3 s; --csv)
+Expected: uniform 50 to 150 times slower where it is at its best, a few times where errors of a
+          percent will do; 0.1 to 0.4 s to a tolerance with its estimate, a third of that without,
+          2 ms from the cache.
 """
 
 from __future__ import annotations

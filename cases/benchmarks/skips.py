@@ -1,10 +1,11 @@
 """What the plan leaves out (`--explain`): change of the result, and the time that it saves.
 
-    python cases/benchmarks/skips.py [--small] [--csv]
+k = 1/2, hydrodynamics to 1e-10; processor times (ms) of this thread.
 
-1 min. k = 1/2, hydrodynamics to 1e-10; processor times (ms) of this thread. Expected: no change
-beyond rounding; 1.1 times faster without modes above 1 and without the resistance, 2 by mirror
-symmetry, 4 to 5 without outer expansions, 2 to 3 at a step or a right-hand side.
+Run:      python cases/benchmarks/skips.py      (1 min; --small: 10 s; --csv)
+Expected: no change beyond rounding; 1.1 times faster without modes above 1 and without the
+          resistance, 2 by mirror symmetry, 4 to 5 without outer expansions, 2 to 3 at a step or a
+          right-hand side.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     half = independent_rows(scheme.n_theta)
 
     def whole(completion: Any) -> Any:
-        law = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
-        return np.concatenate([[law.linear], law.quadratic, law.cubic])
+        faxen = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
+        return np.concatenate([[faxen.linear], faxen.quadratic, faxen.cubic])
 
-    def law(n_phi: int, used: Scheme) -> Any:
+    def formed(n_phi: int, used: Scheme) -> Any:
         functional = modal_functional(surface_operators(spheroid, used, n_phi))
         coefficients, _ = faxen_coefficients(functional)
         return np.concatenate([coefficients.quadratic, coefficients.cubic])
@@ -56,10 +57,10 @@ def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     def rows(chosen: Any) -> Any:
         return layer_rows(spheroid, scheme, 2, chosen)[0][: len(half)]
 
-    narrow = partial(law, 3, scheme)
-    yield "azimuthal modes above 1", partial(law, 8, scheme), narrow
+    narrow = partial(formed, 3, scheme)
+    yield "azimuthal modes above 1", partial(formed, 8, scheme), narrow
     yield "resistance where no force acts", partial(whole, "surface"), partial(whole, None)
-    yield "outer expansions", partial(law, 3, both), narrow
+    yield "outer expansions", partial(formed, 3, both), narrow
     every = range(scheme.n_theta)
     yield "rows that mirror symmetry gives", partial(rows, every), partial(rows, half)
 
@@ -101,9 +102,9 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     ball = plain_body(Spheroid(1.0), scheme).model
     laws = ball.faxen.quadratic, ball.faxen.cubic
 
-    def sphere(law: FaxenCoefficients) -> Work:
+    def sphere(faxen: FaxenCoefficients) -> Work:
         """Coefficients too small to count keep the axis in."""
-        equations = RigidBodyEquations(replace(ball, faxen=law), Paraboloid(0.5))
+        equations = RigidBodyEquations(replace(ball, faxen=faxen), Paraboloid(0.5))
         return many(equations.rate_of_rows, equations.initial_state((0.3, 2.0, 0.0), Q[0]))
 
     kept = FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))

@@ -1,11 +1,12 @@
 """Cost of a right-hand side by every way to it: solve, functional, table, closed form.
 
-    python cases/benchmarks/step.py [--small] [--csv]
+A body of k = 1/2 in shear. `step`: the right-hand side alone, massless. `integrated`: under 8vr,
+PETSc's own work included, in turns.
 
-30 s. A body of k = 1/2 in shear. `step`: the right-hand side alone, massless. `integrated`: under
-8vr, PETSc's own work included, in turns. Expected: the same rates by every way; a table on
-monomials costs what the closed form costs (a microsecond in plain Python), a fortieth of a
-microsecond per body in a compiled block; a solve at every step a thousand times as much.
+Run:      python cases/benchmarks/step.py      (30 s; --small: 5 s; --csv)
+Expected: the same rates by every way; a table on monomials costs what the closed form costs, a
+          microsecond in plain Python, and a fortieth of one per body in a compiled block; a solve
+          at every step costs a thousand times as much.
 """
 
 from __future__ import annotations

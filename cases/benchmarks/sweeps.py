@@ -4,9 +4,8 @@ The model is that of `qbxstokes/runs/cost.py`. Its constants are told by sweeps 
 orientations that differ in one thing each; seconds are those of the parts of the command beyond the
 ones of a sweep of two trajectories.
 
-    python cases/benchmarks/sweeps.py [--small] [--csv]
-
-4 min. Expected: the model, with these constants, within a factor of 1.4 of each sweep.
+Run:      python cases/benchmarks/sweeps.py      (4 min; --small: 40 s; --csv)
+Expected: the model, with these constants, within a factor of 1.4 of each sweep.
 """
 
 from __future__ import annotations

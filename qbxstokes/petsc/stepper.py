@@ -7,12 +7,12 @@ Events are found by an observer between the steps, as roots of functions of the 
 (`inside`), and not by TSSetEventHandler. That one ends a step at each event and starts the next one
 afresh, so that the motion would depend on what is watched for; it acts within TSSolve alone, which
 leaves no place for cuts; and how well an instant is known depends on the size of the function's
-values near it. Table `events` of `cases/benchmark_motion.yaml` compares both. At the tolerance of
-the motion they find half-turns equally well, for 18 % (here) and 26 % (there) more right-hand sides
-of 8vr at St = 0, 1 % at St = 1, and none (here) and 8 % (there) of BDF; but with PETSc's own
-tolerance for events the instants err by 1e-7 to 1e-6 in a motion good to 1e-8, and with a fine one
-BDF begins anew at low order so often that its error grows from 2e-8 to 5e-5. The functions found
-between the steps leave the motion as it is, to the last bit.
+values near it. Compared over five Jeffery periods, both find half-turns equally well at the
+tolerance of the motion, for 18 % (here) and 26 % (there) more right-hand sides of 8vr at St = 0,
+1 % at St = 1, and none (here) and 8 % (there) of BDF; but with PETSc's own tolerance for events the
+instants err by 1e-7 to 1e-6 in a motion good to 1e-8, and with a fine one BDF begins anew at low
+order so often that its error grows from 2e-8 to 5e-5. The functions found between the steps leave
+the motion as it is, to the last bit.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
