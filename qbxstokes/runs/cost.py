@@ -36,8 +36,8 @@ class Constants:
     """Processor times on one core (s), and steps over those that are forecast.
 
     rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
-    flow (constant or linear, quadratic, cubic), and in any other flow, without what its own function
-    takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place. call: per
+    flow (constant or linear, quadratic, cubic), and in any other flow, without what its own
+    function takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place. call: per
     right-hand side of a block, whatever it holds; call_general: in a flow that is not polynomial.
     steps_*: of a block of several bodies over the forecast for one.
     sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
