@@ -37,9 +37,9 @@ class Constants:
 
     rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
     flow (constant or linear, quadratic, cubic), and in any other flow, without what its own
-    function takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place. call: per
-    right-hand side of a block, whatever it holds; call_general: in a flow that is not polynomial.
-    steps_*: of a block of several bodies over the forecast for one.
+    function takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place.
+    call: per right-hand side of a block, whatever it holds; call_general: in a flow that is not
+    polynomial. steps_*: of a block of several bodies over the forecast for one.
     sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
     integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
     another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
