@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -101,7 +102,11 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parse(own: Sequence[str]) -> argparse.Namespace:
-    parser = _Parser(prog="qbxstokes", usage=USAGE, add_help=False, allow_abbrev=False)
+    # Of a given width, so that argparse need not look for that of the terminal.
+    width = partial(argparse.HelpFormatter, width=80)
+    parser = _Parser(
+        prog="qbxstokes", usage=USAGE, formatter_class=width, add_help=False, allow_abbrev=False
+    )
     parser.add_argument("words", nargs="*")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")

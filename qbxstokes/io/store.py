@@ -19,8 +19,6 @@ import fcntl
 import json
 import os
 import shutil
-import socket
-import uuid
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
@@ -49,7 +47,7 @@ class DamagedPart(Exception):
 
 def write_whole(path: Path, data: bytes | memoryview) -> None:
     """Write a file that appears under its name complete or not at all; raises OSError."""
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}.part")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     try:
         try:
@@ -250,7 +248,7 @@ def _locked(folder: Path) -> int:
             pass
         os.close(descriptor)  # the folder was removed, and perhaps made anew, in between
     os.ftruncate(descriptor, 0)
-    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+    os.write(descriptor, f"process {os.getpid()} on {os.uname().nodename}\n".encode())
     return descriptor
 
 

@@ -71,7 +71,9 @@ def machine() -> str:
         name = models[0] if models else name
     except OSError:  # not Linux
         pass
-    return f"{name}, {os.cpu_count()} cores, {platform.platform()}"
+    # Not by platform.platform(), which starts a process to ask for the processor once more.
+    system = " ".join((platform.system(), platform.release(), *platform.libc_ver()))
+    return f"{name}, {os.cpu_count()} cores, {system}"
 
 
 def asked_revision() -> Callable[[], str]:
