@@ -125,7 +125,7 @@ import subprocess, sys
 import qbxstokes as qs
 case = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end": 1}}
 qs.run(case)
-ranks = "from qbxstokes.runs.parallel import world as w; print(['', w().size][w().rank == 0], end='')"
+ranks = "from qbxstokes.runs.parallel import world; c = world(); print(*[c.size][c.rank:], end='')"
 for command in ([], ["mpirun", "-n", "2"], ["mpirun", "-n", "1"]):
     done = subprocess.run([*command, sys.executable, "-c", ranks], capture_output=True, text=True)
     print(done.stdout)
