@@ -8,7 +8,7 @@ radius), time tau, force mu c^2/tau, torque mu c^3/tau. Symbols are LaTeX.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 _XYZ = ("1", "2", "3")
 _QUATERNION = ("0", *_XYZ)
@@ -48,14 +48,22 @@ class Quantity:
     @property
     def heading(self) -> str:
         """Words and symbol, for the axis of a picture."""
-        symbol = f" ${self.symbol}$" if self.symbol else ""
-        return self.label or f"{self.name.replace('_', ' ')}{symbol}"
+        return self.label or self._headed(self.symbol)
+
+    def _headed(self, symbol: str) -> str:
+        words = self.name.replace("_", " ")
+        return f"{words} ${symbol}$" if symbol else words
 
     def columns(self) -> list[Quantity]:
         """Its components as a quantity each, position_1 and so on; itself where it has none."""
         return [
-            replace(
-                self, name=f"{self.name}_{part}", symbol=symbol, shape=(), components=(), parts=()
+            Quantity(
+                f"{self.name}_{part}",
+                symbol,
+                self.units,
+                self.description,
+                self.frame,
+                label=self._headed(symbol),
             )
             for part, symbol in zip(self.components, self.symbols, strict=True)
         ] or [self]

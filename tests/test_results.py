@@ -15,7 +15,18 @@ from conftest import ROOT
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.io.results import load
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.quantities import MOTION
+from qbxstokes.motion.observables import OBSERVABLES
+from qbxstokes.quantities import (
+    COLUMNS,
+    FLUID,
+    HALF_TURN,
+    MOTION,
+    PARAMETER,
+    POINT,
+    SUMMARY,
+    SURFACE,
+    column,
+)
 
 
 def block(start: int, count: int) -> dict[str, np.ndarray]:
@@ -24,6 +35,19 @@ def block(start: int, count: int) -> dict[str, np.ndarray]:
     return {"time": time} | {
         name: rng.normal(size=(count, *about.shape)) for name, about in MOTION.items()
     }
+
+
+def test_each_quantity_of_a_motion_has_one_function_and_names_of_its_own() -> None:
+    assert list(OBSERVABLES) == list(MOTION)
+    for table in (MOTION, HALF_TURN, FLUID | POINT | SURFACE, SUMMARY, PARAMETER):
+        for name, about in table.items():
+            assert about.name == name
+            assert about.description
+            assert len(about.symbols) == len(about.components) == (about.size if about.shape else 0)
+    assert set(SUMMARY) <= {name.rstrip("_0123") for name in COLUMNS}
+    assert column("final_velocity_2").heading == "final velocity $V_2$"
+    assert column("hydrodynamics_n_theta") == column("n_theta")
+    assert column("my_own").heading == "my own"
 
 
 def write(path: Path, *blocks: dict[str, np.ndarray], overwrite: bool = False) -> Path:

@@ -160,7 +160,7 @@ class FieldSection(Section):
     streamlines: Streamlines | None = Field(default=None, description="streamlines")
     tracers: Tracers | None = Field(default=None, description="paths of tracers")
     quantities: Annotated[tuple[Fluid, ...], Field(min_length=1)] = Field(
-        default=("velocity", "disturbance_velocity", "pressure", "stress"),
+        default=tuple(FLUID),
         description="quantities to store at the points",
     )
     tolerance: Annotated[Number, Field(gt=0, le=0.1)] = Field(

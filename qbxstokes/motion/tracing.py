@@ -19,7 +19,7 @@ from typing import Any
 _DEEPEST = 20
 
 
-class Quantity:
+class Traced:
     """A number that is known when the function runs: the outcome of a recorded operation."""
 
     __slots__ = ("place", "record")
@@ -60,37 +60,37 @@ class _Record:
 
     def __init__(self, inputs: Sequence[str]) -> None:
         self.entries: list[tuple[Any, ...]] = [("input", name) for name in inputs]
-        self._known: dict[tuple[Any, ...], Quantity] = {}
-        self.inputs = [Quantity(self, place) for place in range(len(inputs))]
+        self._known: dict[tuple[Any, ...], Traced] = {}
+        self.inputs = [Traced(self, place) for place in range(len(inputs))]
 
-    def operation(self, operator: str, *operands: Any) -> Quantity:
+    def operation(self, operator: str, *operands: Any) -> Traced:
         """The outcome of an operation, recorded unless it was done before."""
         key = (
             operator,
-            *(value.place if isinstance(value, Quantity) else float(value) for value in operands),
+            *(value.place if isinstance(value, Traced) else float(value) for value in operands),
         )
         # 0.0 and -0.0, or a place and a constant of its value, must not be taken for each other.
         kind = tuple(repr(value) for value in key)
         if operator in "+*":
             kind = (kind[0], *sorted(kind[1:]))
         if kind not in self._known:
-            self._known[kind] = Quantity(self, len(self.entries))
+            self._known[kind] = Traced(self, len(self.entries))
             self.entries.append(key)
         return self._known[kind]
 
     def negated(self, value: Any) -> Any:
         """What `value` is the negative of, or None."""
         if (
-            isinstance(value, Quantity)
+            isinstance(value, Traced)
             and self.entries[value.place][0] == "-"
             and (len(self.entries[value.place]) == 2)
         ):
             inner = self.entries[value.place][1]
-            return Quantity(self, inner)
+            return Traced(self, inner)
         return None
 
     def negative(self, a: Any) -> Any:
-        if not isinstance(a, Quantity):
+        if not isinstance(a, Traced):
             return -a
         inner = self.negated(a)
         return self.operation("-", a) if inner is None else inner
@@ -129,7 +129,7 @@ class _Record:
 
 
 def _is(value: Any, constant: float) -> bool:
-    return not isinstance(value, Quantity) and value == constant
+    return not isinstance(value, Traced) and value == constant
 
 
 def specialise(
@@ -156,7 +156,7 @@ def specialise(
 
 def _written(entries: list[tuple[Any, ...]], values: Sequence[Any]) -> tuple[list[str], list[str]]:
     """Assignments, and an expression for each value; an entry used once is written in place."""
-    uses = Counter(value.place for value in values if isinstance(value, Quantity))
+    uses = Counter(value.place for value in values if isinstance(value, Traced))
     for place in range(len(entries) - 1, -1, -1):
         if uses[place]:
             uses.update(operand for operand in entries[place][1:] if isinstance(operand, int))
@@ -180,5 +180,5 @@ def _written(entries: list[tuple[Any, ...]], values: Sequence[Any]) -> tuple[lis
             lines.append(f"a{place} = {texts[place]}")
             texts[place], depths[place] = f"a{place}", 0
     return lines, [
-        text(value.place if isinstance(value, Quantity) else float(value)) for value in values
+        text(value.place if isinstance(value, Traced) else float(value)) for value in values
     ]
