@@ -19,8 +19,9 @@ from qbxstokes.flows.named import Paraboloid, Shear, Uniform
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion import kernels, law, tracing
-from qbxstokes.motion.equations import Loads, RigidBodyEquations, pack_table
+from qbxstokes.motion import fore_aft, tracing
+from qbxstokes.motion.equations import Loads, RigidBodyEquations
+from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.motion.tracing import specialise
 
 RNG = np.random.default_rng(4)
@@ -99,15 +100,16 @@ def general_rates(
         if loads is None
         else (*loads.force, *loads.body_force, *loads.torque, *loads.body_torque)
     )
-    head = *law.tables(pack_table(flow, model).tolist()), tuple(1.0 / x for x in drag), forces
+    law, _, _ = fore_aft.unpack_body(fore_aft.pack_body(model, True))
+    head = unpack_flow(pack_flow(flow).tolist()), law, tuple(1.0 / x for x in drag), forces
     if equations.massless:
-        return lambda rows: kernels.massless(*rows, *head)
+        return lambda rows: fore_aft.massless(*rows, *head)
     follow = None
     if inertia != "both":
         follow = float(inertia == "rotation"), float(inertia == "translation")
     rates = equations.relaxation_rates[:, 0].tolist()
     j1, _, j3 = Spheroid(model.aspect_ratio).inertia.tolist()
-    return lambda rows: kernels.inertial(*rows, *head, rates, (j3 - j1) / j1, follow)
+    return lambda rows: fore_aft.inertial(*rows, *head, rates, (j3 - j1) / j1, follow)
 
 
 def operations(equations: RigidBodyEquations, monkeypatch: pytest.MonkeyPatch) -> int:

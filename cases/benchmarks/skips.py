@@ -27,8 +27,9 @@ from qbxstokes.flows.named import Paraboloid, Shear
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion import kernels, law
-from qbxstokes.motion.equations import RigidBodyEquations, pack_table
+from qbxstokes.motion import fore_aft
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.petsc import session
 from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
 from qbxstokes.reference import jeffery
@@ -95,8 +96,9 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     yield "integral equation at a step", by_solve, by_grid
     table = partial(equations.velocities, 0.0, state)
     yield "flow on the surface at a step", by_grid, lambda: np.concatenate(table())
-    constants = (*law.tables(pack_table(Shear(), model).tolist()), None, None)
-    general = many(lambda t, rows: kernels.massless(*rows, *constants), state)
+    law, _, _ = fore_aft.unpack_body(fore_aft.pack_body(model, True))
+    constants = unpack_flow(pack_flow(Shear()).tolist()), law, None, None
+    general = many(lambda t, rows: fore_aft.massless(*rows, *constants), state)
     specialised = many(equations.rate_of_rows, state)
     yield "terms that are zero at a right-hand side", general, specialised
     ball = plain_body(Spheroid(1.0), scheme).model

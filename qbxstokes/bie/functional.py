@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import combinations_with_replacement, permutations
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +56,36 @@ class FaxenCoefficients:
     which is the most general law for this symmetry: a Stokes flow of degree 2 (3) holds three
     irreducible representations of the rotation group and the body's symmetry leaves five (four)
     free coefficients. `linear` is lambda, `quadratic` (5,) is q, `cubic` (4,) is c.
+
+    The motion is computed from lambda and 1/2 - |lambda|/2, for a spheroid k^2/(1 + k^2) (k < 1) or
+    1/(1 + k^2), and likewise from c3 and c0 - |c3|/2: `small` and `small_of_second` are these
+    differences where they are known to more digits than subtraction leaves.
     """
+
+    # The class of laws, which tells the kernels of the motion.
+    symmetry: ClassVar[str] = "fore-aft revolution"
 
     linear: float
     quadratic: Array
     cubic: Array
+    small: float | None = None
+    small_of_second: float | None = None
+
+    @property
+    def rest(self) -> float:
+        """1/2 - |lambda|/2."""
+        return 0.5 - 0.5 * abs(self.linear) if self.small is None else self.small
+
+    @property
+    def rest_of_second(self) -> float:
+        """c0 - |c3|/2."""
+        if self.small_of_second is not None:
+            return self.small_of_second
+        return float(self.cubic[0] - 0.5 * abs(self.cubic[3]))
+
+
+# Numbers of the law that may be missing.
+_SMALL = ("small", "small_of_second")
 
 
 @dataclass(frozen=True)
@@ -127,6 +153,9 @@ class BodyModel:
             "cubic": f.cubic,
             "error_estimate": np.array(self.error_estimate),
         }
+        for name in _SMALL:
+            if getattr(f, name) is not None:
+                arrays[name] = np.array(getattr(f, name))
         if self.formed_resistance is not None:
             arrays["resistance"] = np.array(list(vars(self.resistance).values()))
         if self.grid is not None:
@@ -147,6 +176,7 @@ class BodyModel:
                 float(arrays["linear"]),
                 np.asarray(arrays["quadratic"]),
                 np.asarray(arrays["cubic"]),
+                **{name: float(arrays[name]) for name in _SMALL if name in arrays},
             ),
             grid,
             float(arrays["error_estimate"]),

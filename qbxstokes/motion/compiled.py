@@ -2,61 +2,75 @@
 
 Importing numba takes a few tenths of a second and the first compilation on a machine some seconds:
 `equations.py` imports this module only when a block or a long run asks for it. The compiled
-functions are those of the modules in `_SOURCES`, bound to each other's compiled form. Only the
-loops over a block go to the cache, with everything they call inside.
+functions are the loops over a block and all they call, copied and bound to each other's compiled
+form. Only the loops go to the cache, with everything they call inside.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
 
-from qbxstokes.motion import kernels, law, layout, loops, taylor
+from qbxstokes.motion import loops, taylor
 
-_SOURCES = (layout, taylor, law, kernels, loops)
-_LAWS = {
-    1: "free_motion_linear",
-    2: "free_motion_quadratic",
-    3: "free_motion_cubic",
-}
+# What the loops take from the class of the law.
+_OF_THE_LAW = ("N_NUMBERS", "massless", "inertial", "unpack_body")
 
 
-@cache
-def version() -> str:
-    """A name for what the sources say: numba's cache watches the file of the outermost function."""
-    digest = hashlib.blake2b(digest_size=6)
-    for module in _SOURCES:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return digest.hexdigest()
+@dataclass(frozen=True)
+class Loops:
+    """The loops over a block, by name, and what their sources say, in short.
 
-
-@cache
-def compiled_loops(degree: int) -> dict[str, Callable[..., None]]:
-    """The loops over a block, by name, for flows of one degree.
-
-    They and all they call are copies of the functions of the sources that call each other, with the
-    law of the degree in the place of `free_motion_about`: a branch would keep the compiler from
-    working on several lanes at once.
+    numba's cache watches the file of the outermost function alone: the version belongs to its name.
     """
+
+    by_name: dict[str, Callable[..., None]]
+    version: str
+
+
+@cache
+def compiled_loops(kernels: ModuleType, degree: int) -> Loops:
+    """The loops for a class of laws (`kernels.KERNELS`) and flows of one degree."""
+    put_in: dict[str, Any] = {name: getattr(kernels, name) for name in _OF_THE_LAW}
+    put_in |= kernels.for_compiler(degree) | {"unpack_flow": taylor.UNPACK[degree]}
     plain: dict[str, FunctionType] = {}
     namespace: dict[str, Any] = {}
-    for module in _SOURCES:
-        namespace |= vars(module)
-        for name, function in vars(module).items():
-            if isinstance(function, FunctionType) and function.__module__ == module.__name__:
-                plain[name] = function
-    plain["free_motion_about"] = plain[_LAWS[degree]]
-    for name, function in plain.items():
+
+    def gather(function: FunctionType) -> None:
+        """What the function finds among its globals, and the same of the functions it calls."""
+        known = function.__globals__ | put_in
+        for name in set(function.__code__.co_names) & known.keys():
+            namespace.setdefault(name, known[name])
+            if isinstance(known[name], FunctionType) and name not in plain:
+                plain[name] = known[name]
+                gather(known[name])
+
+    outer = {name: value for name, value in vars(loops).items() if name.endswith("_block")}
+    for loop in outer.values():
+        gather(loop)
+    files = {inspect.getfile(function) for function in (*plain.values(), *outer.values())}
+    digest = hashlib.blake2b(digest_size=6)
+    for file in sorted(files):
+        digest.update(Path(file).read_bytes())
+    version = digest.hexdigest()
+
+    def compiled(name: str, function: FunctionType, **options: bool) -> Any:
         copy = FunctionType(function.__code__, namespace, name, function.__defaults__)
         copy.__module__ = function.__module__
         # The cache tells functions apart by their qualified names.
-        copy.__qualname__ = f"{name}_{degree}_{version()}"
-        options = {"cache": True} if name.endswith("_block") else {"forceinline": True}
-        namespace[name] = numba.njit(error_model="numpy", **options)(copy)
-    return {name: namespace[name] for name in plain if name.endswith("_block")}
+        law = kernels.__name__.rpartition(".")[2]
+        copy.__qualname__ = f"{name}_{law}_{degree}_{version}"
+        return numba.njit(error_model="numpy", **options)(copy)
+
+    for name, function in plain.items():
+        namespace[name] = compiled(name, function, forceinline=True)
+    by_name = {name: compiled(name, loop, cache=True) for name, loop in outer.items()}
+    return Loops(by_name, version)

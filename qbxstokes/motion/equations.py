@@ -1,4 +1,4 @@
-"""Equations of motion of a block of rigid spheroids that share one body model and one flow.
+"""Equations of motion of a block of rigid bodies of revolution: lanes that are integrated together.
 
 State of a body: (x, q), 7 numbers, for St = 0; (x, q, V, W), 13 numbers, for St > 0 (`layout`).
 Arrays of states are (n_lanes, n_state) for the user and (n_state, n_lanes) in `rates` and
@@ -26,11 +26,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.motion import kernels
+from qbxstokes.motion import taylor
+from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_MASSLESS, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
-from qbxstokes.motion.pieces import Evaluation, Inertia, pack_table
+from qbxstokes.motion.pieces import Evaluation, Inertia
 from qbxstokes.motion.providers import ForceTorque, FreeMotion
 from qbxstokes.motion.reported import Reported
 from qbxstokes.motion.tracing import specialise
@@ -43,7 +44,6 @@ __all__ = [
     "Inertia",
     "Loads",
     "RigidBodyEquations",
-    "pack_table",
 ]
 
 Array = NDArray[np.float64]
@@ -72,8 +72,8 @@ class RigidBodyEquations(Reported):
         """
         loads = self._given_loads
         return RigidBodyEquations(
-            self.model,
-            self._polynomial if self._polynomial is not None else self._provider,  # type: ignore[arg-type]
+            self.bodies.models.repeated(count),
+            self._flows.repeated(count),
             np.tile(self.stokes_number, count),
             self.n_lanes * count,
             None if loads is None else loads.repeated(count),
@@ -115,11 +115,13 @@ class RigidBodyEquations(Reported):
         the body lies, since the body is its own image there. What is left are forces and a velocity
         at the start.
         """
-        if self._polynomial is None or not self.constraints.free:
+        if self._table is None or not self.constraints.free:
             return False
         pushed = self._loads is not None and self._loads.push
         moving = not self.massless and np.any(y[:, VELOCITY])
-        return not (pushed or moving) and bool(np.all(self._polynomial.odd_about(y[:, POSITION])))
+        return not (pushed or moving) and all(
+            np.all(flow.odd_about(y[lanes, POSITION])) for flow, lanes in self._flows.groups()
+        )
 
     def integrated(self, states: Array) -> Array:
         """The part of states (n_lanes, n_state) that is integrated: all."""
@@ -131,13 +133,19 @@ class RigidBodyEquations(Reported):
 
     def _block(self) -> BlockConstants:
         assert self._table is not None
-        return BlockConstants(
-            int(self._table[0]),
+        flow, body, degree, kernels = (
             self._table,
-            np.array(self._mobility),
+            self.bodies.table,
+            self._degree,
+            self.bodies.kernels,
+        )
+        return BlockConstants(
+            kernels,
+            degree,
+            flow if flow.ndim == 1 else flow[: taylor.ROWS[degree]],
+            body if body.ndim == 1 else body[: kernels.ROWS[degree]],
             None if self._loads is None else self._loads.rows,
             None if self.massless else self._rates,
-            self._gyration,
             self._follow,
         )
 
@@ -149,13 +157,13 @@ class RigidBodyEquations(Reported):
 
         block = self._block()
         kind = "massless" if self.massless else "inertial"
-        run = compiled_loops(block.degree)[f"{kind}_{loop}"]
-        inertia = () if self.massless else (block.rates, block.gyration, block.follow)
-        table, mobility = block.table, block.mobility
+        run = compiled_loops(block.kernels, block.degree).by_name[f"{kind}_{loop}"]
+        inertia = () if self.massless else (block.rates, block.follow)
+        flow, body = block.flow, block.body
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads.at(t)
-            run(y, out, table, mobility, loads, *inertia, *more)
+            run(y, out, flow, body, loads, *inertia, *more)
 
         return function
 
@@ -180,7 +188,7 @@ class RigidBodyEquations(Reported):
         differenced (central, relative error about 1e-10) and the rest is exact.
         """
         rows = list(self._rows(y))
-        step = kernels.STEP * 1.0j
+        step = STEP * 1.0j
         motion = self._motion(t, rows)
         provided = self._table is None
         columns = []
@@ -202,7 +210,8 @@ class RigidBodyEquations(Reported):
     def _kernel(self) -> Callable[..., Any] | None:
         """dy/dt by the kernels in one piece: for polynomial flows without constraints.
 
-        Numbers that differ from body to body, or in time, are handed over with the states.
+        Where all lanes share flow and body it is specialised to them, and only numbers that differ
+        from lane to lane, or in time, are handed over with the states.
         """
         if self._table is None or not self.constraints.free:
             return None
@@ -212,14 +221,23 @@ class RigidBodyEquations(Reported):
         rates = self._rows(self._rates)
         n_rates = 4 if several and not self.massless else 0
 
+        bodies = self.bodies
+
         def equations(rows: Any, more: Any) -> Any:
-            arguments = [*rows, self._flow, self._law, self._mobility]
+            arguments = [*rows, self._flow, bodies.law, bodies.mobility]
             arguments.append(tuple(more[:12]) if handed else loads)
             if self.massless:
-                return kernels.massless(*arguments)
-            arguments += [more[-4:] if n_rates else rates, self._gyration, self._follow]
-            return kernels.inertial(*arguments)
+                return bodies.kernels.massless(*arguments)
+            arguments += [more[-4:] if n_rates else rates, bodies.gyration, self._follow]
+            return bodies.kernels.inertial(*arguments)
 
+        if not (self._flows.shared and bodies.models.shared):
+
+            def general(t: float, rows: Any) -> Any:
+                forces = self._rows(given.at(t)) if given is not None and handed else ()
+                return equations(rows, (*forces, *(rates if n_rates else ())))
+
+            return general
         kernel = specialise(equations, self.n_state, 12 * handed + n_rates)
         if not (handed or n_rates):
             return kernel
@@ -239,4 +257,4 @@ class RigidBodyEquations(Reported):
         if self.n_lanes > 1:
             columns = [np.broadcast_arrays(*column) for column in columns]
         values = np.array(columns).imag.reshape(len(columns), self.n_state, self.n_lanes)
-        return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / kernels.STEP)
+        return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / STEP)

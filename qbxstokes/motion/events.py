@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
-from qbxstokes.motion import kernels
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.frames import symmetry_axis
 
 Array = NDArray[np.float64]
 Row = Sequence[float]
@@ -148,7 +148,7 @@ class Passage:
 
     def components(self, y: Row) -> tuple[float, float]:
         """Components of the axis along the normal and across it; zero for an axis at rest."""
-        d1, d2, d3 = kernels.symmetry_axis(*y[3:7])
+        d1, d2, d3 = symmetry_axis(*y[3:7])
         n, a = self._normal, self._across
         along = d1 * n[0] + d2 * n[1] + d3 * n[2]
         across = d1 * a[0] + d2 * a[1] + d3 * a[2]
@@ -311,7 +311,7 @@ def turning_point(equations: RigidBodyEquations, component: str, scale: float) -
         v, omega = equations.velocities(t, np.array(y)[None])
         if component[0] == "x":
             return float(v[0, index])
-        return float(np.cross(omega[0], kernels.symmetry_axis(*y[3:7]))[index])
+        return float(np.cross(omega[0], symmetry_axis(*y[3:7]))[index])
 
     return Event(f"turning_{component}", rate, threshold=1e-12 * scale)
 
@@ -325,7 +325,7 @@ def steady(equations: RigidBodyEquations, rate: float, ends: bool) -> Event:
 
     def excess(t: float, y: Row) -> float:
         _, omega = equations.velocities(t, np.array(y)[None])
-        change = float(np.linalg.norm(np.cross(omega[0], kernels.symmetry_axis(*y[3:7]))))
+        change = float(np.linalg.norm(np.cross(omega[0], symmetry_axis(*y[3:7]))))
         if not equations.massless:
             change += float(np.linalg.norm(np.array(equations.rate_of_rows(t, y))[7:10]))
         return change - rate
@@ -349,7 +349,7 @@ def meeting(points: Array, aspect_ratio: float, least: float) -> Event:
     """The instant at which one of the points comes as near to the surface as `least`."""
 
     def within(t: float, y: Row) -> float:
-        axis = np.array(kernels.symmetry_axis(*y[3:7]))
+        axis = np.array(symmetry_axis(*y[3:7]))
         return least - float(np.min(clearance(points, y[0:3], axis, aspect_ratio)))
 
     reason = f"a singular point of the flow is {least:.3g} from the surface"

@@ -1,13 +1,15 @@
 """Loops of the equations of motion over the lanes of a block, to be compiled (compiled.py).
 
-y and dydt: (n_state, n_lanes); table: (74,), the flow and the law as `law.tables` orders them;
-mobility: (4,); loads: (12, n_lanes) or None; rates: (4, n_lanes); jacobian: (n_lanes, n_state,
-n_state); follow: as in `kernels.inertial`. still: None, or centres (3, n_lanes) that stay at rest;
-y and dydt then hold q, and W, alone.
+y and dydt: (n_state, n_lanes). flow and body: what `pack_flow` and `pack_body` give, one column
+for all lanes, (m,), or one for each, (m, n_lanes), of which the last rows may be missing where the
+degree needs none of them. loads: (12, n_lanes) or None. rates: (4, n_lanes). jacobian:
+(n_lanes, n_state, n_state). follow: as in `inertial`. still: None, or centres (3, n_lanes) that
+stay at rest; y and dydt then hold q, and W, alone.
 
 The lanes pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
 works on several lanes at once. It may not reorder arithmetic, so that the numbers are those of the
-plain functions.
+plain functions. What all lanes share is read before the loop; the compiler leaves out the branches
+on `ndim` and None.
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.motion.kernels import STEP, inertial, massless
-from qbxstokes.motion.law import tables
+# Those of one class of laws stand for all: compiled.py puts in those of the class at hand.
+from qbxstokes.motion.fore_aft import N_NUMBERS, inertial, massless, unpack_body
+from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_INERTIAL, N_MASSLESS, ORIENTATION, SPIN
+from qbxstokes.motion.taylor import N_FLOW, unpack_flow
 
 Array = NDArray[np.float64]
 
@@ -32,19 +36,17 @@ _N_Q = ORIENTATION.stop - ORIENTATION.start
 
 @dataclass(frozen=True)
 class BlockConstants:
-    """What the compiled loop over a block needs besides the states.
+    """What the compiled loop over a block needs besides the states, see the module's text.
 
-    table (74,): see `law.tables`. mobility (4,). loads (12, n), or None. rates (4, n), gyration
-    and follow (2,) or None, of inertial bodies alone: rates is None for massless ones. still:
-    centres (3, n) that stay, or None (see `motion.centred`).
+    kernels: the class of the law. rates, gyration and follow are of inertial bodies alone.
     """
 
+    kernels: Any
     degree: int
-    table: Array
-    mobility: Array
+    flow: Array
+    body: Array
     loads: Array | None
     rates: Array | None
-    gyration: float
     follow: tuple[float, float] | None
     still: Array | None = None
 
@@ -84,17 +86,24 @@ def column_of_loads(loads: Any, b: int) -> Any:
 def massless_block(
     y: Any,
     dydt: Any,
-    table: Any,
-    mobility: Any,
+    flow: Any,
+    body: Any,
     loads: Any,
     still: Any,
 ) -> None:
     """`massless` for every lane of a block."""
-    flow, law = tables(table)
     s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
+    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
+    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
+    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
+    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     first = 0 if still is None else _Q
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
+        if flow.ndim == 2:
+            copy_tile(flow, start, u, count)
+        if body.ndim == 2:
+            copy_tile(body, start, v, count)
         if still is not None:
             copy_tile(still, start, s, count)
         copy_tile(y, start, s[first:], count)
@@ -102,6 +111,7 @@ def massless_block(
             copy_tile(loads, start, f, count)
 
         for b in range(count):
+            law, mobility, _ = one_body if body.ndim == 1 else unpack_body(v[:, b])
             rate = massless(
                 s[0, b],
                 s[1, b],
@@ -110,7 +120,7 @@ def massless_block(
                 s[4, b],
                 s[5, b],
                 s[6, b],
-                flow,
+                one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
                 law,
                 mobility,
                 None if loads is None else column_of_loads(f, b),
@@ -123,21 +133,29 @@ def massless_block(
 def massless_jacobian_block(
     y: Any,
     jacobian: Any,
-    table: Any,
-    mobility: Any,
+    flow: Any,
+    body: Any,
     loads: Any,
 ) -> None:
     """d`massless`/dy for every lane of a block, one complex step per column."""
-    flow, law = tables(table)
     s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
+    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
+    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
+    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
+    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
+        if flow.ndim == 2:
+            copy_tile(flow, start, u, count)
+        if body.ndim == 2:
+            copy_tile(body, start, v, count)
         copy_tile(y, start, s, count)
         if loads is not None:
             copy_tile(loads, start, f, count)
 
         for j in range(N_MASSLESS):
             for b in range(count):
+                law, mobility, _ = one_body if body.ndim == 1 else unpack_body(v[:, b])
                 rate = massless(
                     complex(s[0, b], STEP if j == 0 else 0.0),
                     complex(s[1, b], STEP if j == 1 else 0.0),
@@ -146,7 +164,7 @@ def massless_jacobian_block(
                     complex(s[4, b], STEP if j == 4 else 0.0),
                     complex(s[5, b], STEP if j == 5 else 0.0),
                     complex(s[6, b], STEP if j == 6 else 0.0),
-                    flow,
+                    one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
                     law,
                     mobility,
                     None if loads is None else column_of_loads(f, b),
@@ -161,24 +179,30 @@ def massless_jacobian_block(
 def inertial_block(
     y: Any,
     dydt: Any,
-    table: Any,
-    mobility: Any,
+    flow: Any,
+    body: Any,
     loads: Any,
     rates: Any,
-    gyration: float,
     follow: Any,
     still: Any,
 ) -> None:
     """`inertial` for every lane of a block."""
-    flow, law = tables(table)
     s, r, f, p = (
         np.zeros((N_INERTIAL, TILE)),
         np.empty((N_INERTIAL, TILE)),
         np.empty((12, TILE)),
         np.empty((4, TILE)),
     )
+    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
+    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
+    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
+    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
+        if flow.ndim == 2:
+            copy_tile(flow, start, u, count)
+        if body.ndim == 2:
+            copy_tile(body, start, v, count)
         if still is None:
             copy_tile(y, start, s, count)
         else:
@@ -189,6 +213,7 @@ def inertial_block(
             copy_tile(loads, start, f, count)
         copy_tile(rates, start, p, count)
         for b in range(count):
+            law, mobility, gyration = one_body if body.ndim == 1 else unpack_body(v[:, b])
             rate = inertial(
                 s[0, b],
                 s[1, b],
@@ -203,7 +228,7 @@ def inertial_block(
                 s[10, b],
                 s[11, b],
                 s[12, b],
-                flow,
+                one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
                 law,
                 mobility,
                 None if loads is None else column_of_loads(f, b),
@@ -223,29 +248,36 @@ def inertial_block(
 def inertial_jacobian_block(
     y: Any,
     jacobian: Any,
-    table: Any,
-    mobility: Any,
+    flow: Any,
+    body: Any,
     loads: Any,
     rates: Any,
-    gyration: float,
     follow: Any,
 ) -> None:
     """d`inertial`/dy for every lane of a block, one complex step per column."""
-    flow, law = tables(table)
     s, r, f, p = (
         np.empty((N_INERTIAL, TILE)),
         np.empty((N_INERTIAL, TILE)),
         np.empty((12, TILE)),
         np.empty((4, TILE)),
     )
+    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
+    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
+    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
+    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
+        if flow.ndim == 2:
+            copy_tile(flow, start, u, count)
+        if body.ndim == 2:
+            copy_tile(body, start, v, count)
         copy_tile(y, start, s, count)
         if loads is not None:
             copy_tile(loads, start, f, count)
         copy_tile(rates, start, p, count)
         for j in range(N_INERTIAL):
             for b in range(count):
+                law, mobility, gyration = one_body if body.ndim == 1 else unpack_body(v[:, b])
                 rate = inertial(
                     complex(s[0, b], STEP if j == 0 else 0.0),
                     complex(s[1, b], STEP if j == 1 else 0.0),
@@ -260,7 +292,7 @@ def inertial_jacobian_block(
                     complex(s[10, b], STEP if j == 10 else 0.0),
                     complex(s[11, b], STEP if j == 11 else 0.0),
                     complex(s[12, b], STEP if j == 12 else 0.0),
-                    flow,
+                    one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
                     law,
                     mobility,
                     None if loads is None else column_of_loads(f, b),

@@ -5,7 +5,7 @@ The pieces are put together for providers and constraints, and for what is repor
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion import kernels, law
+from qbxstokes.motion import frames
+from qbxstokes.motion.bodies import Bodies
+from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.layout import (
     N_INERTIAL,
     N_MASSLESS,
@@ -28,7 +29,8 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
-from qbxstokes.motion.providers import ForceTorque, FreeMotion
+from qbxstokes.motion.providers import ForceTorque, FreeMotion, provider_of
+from qbxstokes.motion.taylor import pack_flow, unpack_flow
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
@@ -36,12 +38,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Evaluation = Literal["auto", "plain", "compiled"]
 Inertia = Literal["both", "translation", "rotation"]
-
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_TRIPLES = (
-    *((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 1, 1), (0, 1, 2)),
-    *((0, 2, 2), (1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2)),
-)
 
 
 class Pieces:
@@ -52,8 +48,8 @@ class Pieces:
 
     def __init__(
         self,
-        model: BodyModel,
-        flow: PolynomialFlow | FreeMotion,
+        model: BodyModel | Sequence[BodyModel],
+        flow: PolynomialFlow | FreeMotion | Sequence[PolynomialFlow] | Sequence[FreeMotion],
         stokes_number: ArrayLike = 0.0,
         n_lanes: int = 1,
         loads: Loads | None = None,
@@ -63,10 +59,11 @@ class Pieces:
     ) -> None:
         """Precompute rates and tables.
 
-        Raises ValueError for mixed or negative Stokes numbers, and for bodies with mass, loads or
-        constraints whose model was formed without the resistance.
+        Raises ValueError for mixed or negative Stokes numbers, for sequences of another length than
+        `n_lanes`, for polynomial flows mixed with providers, for laws of several classes, and for
+        bodies with mass, loads or constraints whose model was formed without the resistance.
         """
-        self.model, self.n_lanes = model, n_lanes
+        self.n_lanes = n_lanes
         self.stokes_number: Array = np.broadcast_to(
             np.asarray(stokes_number, dtype=np.float64), (n_lanes,)
         )
@@ -82,33 +79,40 @@ class Pieces:
         if inertia != "both" and not self.massless:
             self._follow = (float(inertia == "rotation"), float(inertia == "translation"))
 
-        self._force_free = self.massless and loads is None and self.constraints.free
         # Force-free bodies read none of what follows from the resistance.
-        numbers = (math.nan,) * 4 if self._force_free else vars(model.resistance).values()
-        self._resistance = tuple(numbers)
-        self._mobility = tuple(1.0 / value for value in self._resistance)
-        spheroid = Spheroid(model.aspect_ratio)
-        j1, _, j3 = (float(value) for value in spheroid.inertia)
-        self._gyration = (j3 - j1) / j1
-        masses = np.array([spheroid.volume, spheroid.volume, j1, j3])
+        self._force_free = self.massless and loads is None and self.constraints.free
+        self.bodies = bodies = Bodies(model, n_lanes, not self._force_free)
         with np.errstate(divide="ignore"):
-            self._rates: Array = np.outer(np.array(self._resistance) / masses, 1.0) / (
-                self.stokes_number
-            )
+            self._rates: Array = bodies.resistance / bodies.inertia / self.stokes_number
         if self._follow is not None:
             move, turn = self._follow
             self._rates *= np.array([[1.0 - move], [1.0 - move], [1.0 - turn], [1.0 - turn]])
 
+        self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
-        if isinstance(flow, PolynomialFlow):
-            self._table = pack_table(flow, model)
-            self._flow, self._law = law.tables(self._table.tolist())
+        polynomial = {isinstance(entry, PolynomialFlow) for entry in self._flows.distinct}
+        if polynomial == {True}:
+            self._table = self._flows.table(pack_flow)
+            self._degree = int(np.max(self._table[0]))
+            numbers = list(self._table) if self._table.ndim == 2 else self._table.tolist()
+            self._flow = unpack_flow([self._degree, *numbers[1:]])
+        elif polynomial == {False}:
+            self._provider = provider_of(self._flows, n_lanes)
         else:
-            self._provider = flow
-        self._polynomial = flow if isinstance(flow, PolynomialFlow) else None
+            raise ValueError("flows of one block must be all polynomial, or none of them")
         self._loads = None if loads is None else LoadRows(loads, n_lanes)
         self._given_loads = loads
+
+    @property
+    def model(self) -> BodyModel:
+        """The body model that all lanes share. Raises ValueError where they differ."""
+        return self.bodies.models.only
+
+    @property
+    def aspect_ratio(self) -> Array:
+        """Aspect ratios of the lanes, (n_lanes,)."""
+        return np.broadcast_to(self.bodies.aspect_ratio, (self.n_lanes,))
 
     @property
     def steady(self) -> bool:
@@ -160,9 +164,8 @@ class Pieces:
     def _free(self, t: float, rows: Any) -> Any:
         """Free motion, six numbers or rows."""
         if self._table is not None:
-            d = kernels.symmetry_axis(*rows[ORIENTATION])
-            arguments: list[Any] = [*rows[POSITION], *d, self._flow, self._law]
-            return law.free_motion(*arguments)
+            kernels, law = self.bodies.kernels, self.bodies.law
+            return kernels.free(*rows[POSITION], *rows[ORIENTATION], self._flow, law)
         assert self._provider is not None
         y = np.stack([np.atleast_1d(row) for row in rows[:N_MASSLESS]], axis=-1)
         u, omega = self._provider.free_motion(
@@ -182,13 +185,12 @@ class Pieces:
         v, omega = self.velocities(t, y)
         force, torque = self._provider.force_torque(t, y[:, POSITION], q, v, omega)
         zero = np.zeros((3, self.n_lanes))
-        pushed = kernels.driven_motion(
+        return self.bodies.kernels.driven_motion(
             tuple(self._rows(np.concatenate([v, omega], axis=1).T)),
-            kernels.body_axes(*rows[ORIENTATION]),
-            self._mobility,
+            frames.body_axes(*rows[ORIENTATION]),
+            self.bodies.mobility,
             self._rows(np.concatenate([force.T, zero, torque.T, zero])),
         )
-        return pushed
 
     def _driven(self, t: float, y: Array) -> Any:
         """Motion without net force and torque, loads included, in states y (n_state, n)."""
@@ -196,35 +198,36 @@ class Pieces:
         motion = self._free(t, rows)
         if self._loads is None:
             return motion
-        axes = kernels.body_axes(*rows[ORIENTATION])
-        return kernels.driven_motion(motion, axes, self._mobility, self._rows(self._loads.at(t)))
+        axes, bodies = frames.body_axes(*rows[ORIENTATION]), self.bodies
+        loads = self._rows(self._loads.at(t))
+        return bodies.kernels.driven_motion(motion, axes, bodies.mobility, loads)
 
     def _rate(self, t: float, rows: Any, motion: Any) -> Any:
         """dy/dt from the motion that drag pulls to, with loads and constraints."""
-        axes = kernels.body_axes(*rows[ORIENTATION])
+        axes, bodies = frames.body_axes(*rows[ORIENTATION]), self.bodies
         if self._loads is not None:
             loads = self._rows(self._loads.at(t))
-            motion = kernels.driven_motion(motion, axes, self._mobility, loads)
+            motion = bodies.kernels.driven_motion(motion, axes, bodies.mobility, loads)
         velocity, spin = self.constraints.velocity, self.constraints.angular_velocity
         v = None if velocity is None else tuple(self._rows(self._vectors(velocity, t).T))
         omega = None if spin is None else tuple(self._rows(self._vectors(spin, t).T))
         if self.massless:
             turn = omega if omega is not None else motion[ROTATION]
             move = v if v is not None else motion[TRANSLATION]
-            return (*move, *kernels.quaternion_rate_space(*rows[ORIENTATION], *turn))
+            return (*move, *frames.quaternion_rate_space(*rows[ORIENTATION], *turn))
         if self._follow is not None:
             moves, turns = self._follow
             v = tuple(motion[TRANSLATION]) if moves and v is None else v
             omega = tuple(motion[ROTATION]) if turns and omega is None else omega
-        coefficients: list[Any] = [motion, axes, self._rows(self._rates), self._gyration]
-        pull = kernels.accelerations(*rows[RATES], *coefficients)
+        coefficients: list[Any] = [motion, axes, self._rows(self._rates), bodies.gyration]
+        pull = bodies.kernels.accelerations(*rows[RATES], *coefficients)
         still = (0.0, 0.0, 0.0)
         return (
             *(rows[VELOCITY] if v is None else v),
             *(
-                kernels.quaternion_rate_body(*rows[ORIENTATION], *rows[SPIN])
+                frames.quaternion_rate_body(*rows[ORIENTATION], *rows[SPIN])
                 if omega is None
-                else kernels.quaternion_rate_space(*rows[ORIENTATION], *omega)
+                else frames.quaternion_rate_space(*rows[ORIENTATION], *omega)
             ),
             *(pull[TRANSLATION] if v is None else still),
             *(pull[ROTATION] if omega is None else still),
@@ -247,21 +250,6 @@ class Pieces:
         return np.asarray(np.moveaxis((motion[:, 0] - motion[:, 1]) / (2.0 * step), 0, -1))
 
 
-def pack_table(flow: PolynomialFlow, model: BodyModel) -> Array:
-    """Flow and Faxen coefficients as the kernels' table, (74,): see `law.tables`."""
-    second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
-    third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
-    faxen = model.faxen
-    return np.concatenate(
-        [
-            [max(flow.degree or 0, 1)],
-            flow.value,
-            flow.gradient_tensor.ravel(),
-            second,
-            third,
-            [faxen.linear],
-            faxen.quadratic,
-            faxen.cubic,
-            flow.origin,
-        ]
-    )
+def _key_of_flow(flow: Any) -> Any:
+    """What tells apart the flows of a block: the numbers of a polynomial, or the object."""
+    return pack_flow(flow).tobytes() if isinstance(flow, PolynomialFlow) else id(flow)

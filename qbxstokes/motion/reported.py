@@ -71,9 +71,9 @@ class Reported(Pieces):
         free = self._free(t, self._rows(y.T))
         motion = np.stack([np.broadcast_to(u, (self.n_lanes,)) for u in free], axis=-1)
         d = rotation.axis(q)
-        rt, ra, st, sa = self._resistance
+        rt, ra, st, sa = self.bodies.resistance[..., None]
 
-        def drag(slip: Array, transverse: float, axial: float) -> Array:
+        def drag(slip: Array, transverse: Array, axial: Array) -> Array:
             along = np.sum(slip * d, axis=-1, keepdims=True) * d
             return np.asarray(transverse * slip + (axial - transverse) * along)
 
@@ -103,10 +103,9 @@ class Reported(Pieces):
         error of both Runge-Kutta pairs after ten periods is 0.04 to 1.4 times the tolerance then,
         for k from 1/50 to 50.
         """
-        k = self.model.aspect_ratio
-        slenderness = max(k, 1.0 / k)
-        turns = float(np.max(self.time_rate(t, y))) * horizon / (2.0 * np.pi * slenderness)
-        return slenderness**2 * max(1.0, turns)
+        slenderness, square = self.bodies.slenderness
+        turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
+        return float(np.max(square * np.maximum(1.0, turns)))
 
     def time_rate(self, t: float, y: Array) -> Array:
         """Rate (n,) at which things change: |grad U|, the shear rate in a shear."""
@@ -119,6 +118,9 @@ class Reported(Pieces):
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
         """Velocity gradient at the centres, (n, 3, 3); of the free velocity with a provider."""
-        if self._polynomial is not None:
-            return self._polynomial.gradient(y[:, POSITION], t)
+        if self._table is not None:
+            gradient = np.empty((self.n_lanes, 3, 3))
+            for flow, lanes in self._flows.groups():
+                gradient[lanes] = flow.gradient(y[lanes, POSITION], t)
+            return gradient
         return self._motion_slopes(t, np.ascontiguousarray(y.T))[:, TRANSLATION, POSITION]

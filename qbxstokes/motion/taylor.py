@@ -9,11 +9,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.flows.polynomial import PolynomialFlow
+
 # float, complex or a NumPy row of either; numba infers its own types.
 Scalar = Any
 Vector = tuple[Scalar, Scalar, Scalar]
 Matrix = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 Twist = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
+Array = NDArray[np.float64]
+
+# Numbers of a flow, and how many of them the kernels of a degree read.
+N_FLOW = 64
+ROWS = {1: 16, 2: 34, 3: 64}
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_TRIPLES = (
+    *((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 1, 1), (0, 1, 2)),
+    *((0, 2, 2), (1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2)),
+)
 
 
 def contract(second: Any, x1: Scalar, x2: Scalar, x3: Scalar) -> Matrix:
@@ -151,3 +167,90 @@ def add_third(
         b36 + n36,
     )
     return velocity, gradient, second
+
+
+def pack_flow(flow: PolynomialFlow) -> Array:
+    """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`)."""
+    second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
+    third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
+    degree = [max(flow.degree or 0, 1)]
+    parts = degree, flow.origin, flow.value, flow.gradient_tensor.ravel(), second, third
+    return np.concatenate(parts)
+
+
+def unpack_linear(t: Any) -> Any:
+    """(degree, velocity, gradient, second, third, origin) of the numbers of a flow of degree 1.
+
+    Entry by entry, since the compiler makes no tuple of a slice.
+    """
+    velocity = (t[4], t[5], t[6])
+    gradient = (t[7], t[8], t[9], t[10], t[11], t[12], t[13], t[14], t[15])
+    return int(t[0]), velocity, gradient, None, None, (t[1], t[2], t[3])
+
+
+def unpack_quadratic(t: Any) -> Any:
+    """The same of degree 2."""
+    degree, velocity, gradient, _, _, origin = unpack_linear(t)
+    second = (
+        t[16],
+        t[17],
+        t[18],
+        t[19],
+        t[20],
+        t[21],
+        t[22],
+        t[23],
+        t[24],
+        t[25],
+        t[26],
+        t[27],
+        t[28],
+        t[29],
+        t[30],
+        t[31],
+        t[32],
+        t[33],
+    )
+    return degree, velocity, gradient, second, None, origin
+
+
+def unpack_flow(t: Any) -> Any:
+    """The same of any degree."""
+    degree, velocity, gradient, second, _, origin = unpack_quadratic(t)
+    third = (
+        t[34],
+        t[35],
+        t[36],
+        t[37],
+        t[38],
+        t[39],
+        t[40],
+        t[41],
+        t[42],
+        t[43],
+        t[44],
+        t[45],
+        t[46],
+        t[47],
+        t[48],
+        t[49],
+        t[50],
+        t[51],
+        t[52],
+        t[53],
+        t[54],
+        t[55],
+        t[56],
+        t[57],
+        t[58],
+        t[59],
+        t[60],
+        t[61],
+        t[62],
+        t[63],
+    )
+    return degree, velocity, gradient, second, third, origin
+
+
+# What the kernels of a degree need of a flow.
+UNPACK = {1: unpack_linear, 2: unpack_quadratic, 3: unpack_flow}

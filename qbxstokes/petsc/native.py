@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import llvmlite.binding
@@ -22,7 +22,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from qbxstokes.motion.compiled import compiled_loops, version
+from qbxstokes.motion.compiled import compiled_loops
 from qbxstokes.motion.layout import Layout
 from qbxstokes.motion.loops import BlockConstants
 
@@ -60,18 +60,21 @@ def _frozen(context, array):  # type: ignore[no-untyped-def]
     return frozen(array), generate
 
 
-# Put in for each kind of block before compilation: its loop, the numbers of a state, and whether
-# there are loads, inertia, parts that follow the flow, and centres that stay.
+# Put in for each kind of block before compilation: its loop, the numbers of a state, of a flow and
+# of a body, whether those are of every lane, and whether there are loads, inertia, parts that
+# follow the flow, and centres that stay.
 _loop: Any = None
-_STATE, _LOADED, _INERTIAL, _FOLLOWING, _STILL = 7, False, False, False, False
+_STATE, _FLOW, _BODY = 7, 64, 17
+_FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL = (False,) * 6
 
-# Places of the constants: calls so far, number of bodies, and where each part begins.
-_CALLS, _BODIES, _TABLE, _MOBILITY, _GYRATION, _FOLLOW, _RATES = 0, 1, 2, 76, 80, 81, 83
+# Places of the constants: calls so far, number of columns, and where the parts begin, in the order
+# of `BlockConstants`.
+_CALLS, _COLUMNS, _FOLLOW, _PARTS = 0, 1, 2, 4
 
 
 def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     """TSRHSFunction of a block; `constants` as `NativeRate` lays them out."""
-    n = int(constants[_BODIES])
+    n = int(constants[_COLUMNS])
     constants[_CALLS] += 1.0
     places = np.empty(2, np.intp)
     failed = _get_state(state, places.ctypes)
@@ -80,25 +83,24 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     failed = _get_rate(rate, places[1:].ctypes)
     if failed:
         return failed
-    c = carray(constants, (_RATES + 19 * n,))
+    after_flow = _PARTS + (_FLOW * n if _FLOWS else _FLOW)
+    after_body = after_flow + (_BODY * n if _BODIES else _BODY)
+    after_loads = after_body + (12 * n if _LOADED else 0)
+    after_rates = after_loads + (4 * n if _INERTIAL else 0)
+    after_still = after_rates + (3 * n if _STILL else 0)
+    c = carray(constants, (after_still,))
+    flow = c[_PARTS:after_flow].reshape(_FLOW, n) if _FLOWS else c[_PARTS:after_flow]
+    body = c[after_flow:after_body].reshape(_BODY, n) if _BODIES else c[after_flow:after_body]
+    loads = c[after_body:after_loads].reshape(12, n) if _LOADED else None
+    still = c[after_rates:after_still].reshape(3, n) if _STILL else None
     y = _frozen(carray(_pointer(places[0]), (_STATE, n)))
     out = carray(_pointer(places[1]), (_STATE, n))
-    loads = c[_RATES + 4 * n : _RATES + 16 * n].reshape(12, n) if _LOADED else None
-    still = c[_RATES + 16 * n :].reshape(3, n) if _STILL else None
     if _INERTIAL:
-        _loop(
-            y,
-            out,
-            c[_TABLE:_MOBILITY],
-            c[_MOBILITY:_GYRATION],
-            loads,
-            c[_RATES : _RATES + 4 * n].reshape(4, n),
-            c[_GYRATION],
-            (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None,
-            still,
-        )
+        rates = c[after_loads:after_rates].reshape(4, n)
+        follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
+        _loop(y, out, flow, body, loads, rates, follow, still)
     else:
-        _loop(y, out, c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION], loads, still)
+        _loop(y, out, flow, body, loads, still)
     failed = _restore_rate(rate, places[1:].ctypes)
     if failed:
         return failed
@@ -107,13 +109,23 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
 
 @cache
 def _compiled(
-    degree: int, n_state: int, inertial: bool, loaded: bool, following: bool, still: bool
+    kernels: ModuleType,
+    degree: int,
+    sizes: tuple[int, int, int],
+    flows: bool,
+    bodies: bool,
+    loaded: bool,
+    inertial: bool,
+    following: bool,
+    still: bool,
 ) -> Any:
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
-    loop = compiled_loops(degree)["inertial_block" if inertial else "massless_block"]
+    loops = compiled_loops(kernels, degree)
     namespace = globals() | {
-        "_loop": loop,
-        "_STATE": n_state,
+        "_loop": loops.by_name["inertial_block" if inertial else "massless_block"],
+        **dict(zip(("_STATE", "_FLOW", "_BODY"), sizes, strict=True)),
+        "_FLOWS": flows,
+        "_BODIES": bodies,
         "_LOADED": loaded,
         "_INERTIAL": inertial,
         "_FOLLOWING": following,
@@ -121,8 +133,10 @@ def _compiled(
     }
     copy = FunctionType(_rate.__code__, namespace, "_rate")
     copy.__module__ = __name__
-    # The cache looks at this file alone: the name tells the version of what is called.
-    copy.__qualname__ = f"rate_{degree}_{inertial:d}{loaded:d}{following:d}{still:d}_{version()}"
+    # The cache looks at this file alone: the name tells the rest.
+    kind = "".join(f"{flag:d}" for flag in (flows, bodies, loaded, inertial, following, still))
+    law = kernels.__name__.rpartition(".")[2]
+    copy.__qualname__ = f"rate_{law}_{degree}_{sizes[0]}_{kind}_{loops.version}"
     return numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(copy)
 
 
@@ -150,29 +164,24 @@ class NativeRate:
     """
 
     def __init__(self, block: BlockConstants, layout: Layout) -> None:
-        n = layout.columns
-        inertial = block.rates is not None
         self._function = _compiled(
+            block.kernels,
             block.degree,
-            layout.n_state,
-            inertial,
+            (layout.n_state, len(block.flow), len(block.body)),
+            block.flow.ndim == 2,
+            block.body.ndim == 2,
             block.loads is not None,
+            block.rates is not None,
             block.follow is not None,
             block.still is not None,
         )
-        self._constants = np.zeros(_RATES + 19 * n)
-        c = self._constants
-        c[_BODIES] = n
-        c[_TABLE:_MOBILITY], c[_MOBILITY:_GYRATION] = block.table, block.mobility
-        if block.rates is not None:
-            c[_GYRATION] = block.gyration
-            c[_RATES : _RATES + 4 * n] = block.rates.ravel()
+        head = np.zeros(_PARTS)
+        head[_COLUMNS] = layout.columns
         if block.follow is not None:
-            c[_FOLLOW:_RATES] = block.follow
-        if block.loads is not None:
-            c[_RATES + 4 * n : _RATES + 16 * n] = block.loads.ravel()
-        if block.still is not None:
-            c[_RATES + 16 * n :] = block.still.ravel()
+            head[_FOLLOW:_PARTS] = block.follow
+        parts = block.flow, block.body, block.loads, block.rates, block.still
+        given = [part.ravel() for part in parts if part is not None]
+        self._constants = np.concatenate([head, *given])
 
     @property
     def calls(self) -> int:

@@ -1,0 +1,79 @@
+"""The bodies of a block: the numbers of each lane, or those that all share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.motion.kernels import KERNELS
+from qbxstokes.motion.lanes import PerLane
+
+if TYPE_CHECKING:
+    from qbxstokes.bie.functional import BodyModel
+
+Array = NDArray[np.float64]
+
+
+class Bodies:
+    """What the equations need of the body models.
+
+    driven: whether anything follows from the resistance, which may be missing otherwise. Columns
+    are one, of what is shared, or one for each lane. Raises ValueError for bodies whose laws are of
+    different classes, or that are driven and were formed without the resistance.
+    """
+
+    def __init__(self, model: BodyModel | Sequence[BodyModel], n_lanes: int, driven: bool) -> None:
+        self.models: PerLane[BodyModel] = PerLane(model, n_lanes, _key)
+        kinds = {entry.faxen.symmetry for entry in self.models.distinct}
+        if len(kinds) > 1:
+            raise ValueError(f"laws of one block must be of one class, not {sorted(kinds)}")
+        self.kernels = KERNELS[kinds.pop()]
+        self.table = self.models.table(lambda entry: self.kernels.pack_body(entry, driven))
+        self.law, self.mobility, self.gyration = self.kernels.unpack_body(self.table.tolist())
+        if not self.models.shared:
+            self.law, self.mobility, self.gyration = self.kernels.unpack_body(list(self.table))
+        self.resistance = self._columns(lambda entry: _resistance(entry, driven))
+        self.inertia = self._columns(_inertia)
+        self.slenderness: Array = self._columns(_slenderness)
+
+    @property
+    def aspect_ratio(self) -> Array:
+        """Aspect ratios, (1,) or (n_lanes,)."""
+        ratios: Array = self._columns(lambda entry: [entry.aspect_ratio])[0]
+        return ratios
+
+    def _columns(self, numbers: Any) -> Array:
+        table = self.models.table(numbers)
+        return table[:, None] if table.ndim == 1 else table
+
+
+def _key(model: BodyModel) -> Any:
+    """What tells apart the bodies of a block."""
+    law = model.faxen
+    drag = None if model.formed_resistance is None else tuple(_resistance(model, True))
+    numbers = law.linear, law.rest, *law.quadratic, *law.cubic, law.rest_of_second
+    return law.symmetry, model.aspect_ratio, drag, numbers
+
+
+def _resistance(model: BodyModel, driven: bool) -> list[float]:
+    """Translation transverse and axial, rotation transverse and axial."""
+    return list(vars(model.resistance).values()) if driven else [math.nan] * 4
+
+
+def _inertia(model: BodyModel) -> list[float]:
+    """Volume and moments of inertia, in the order of the resistance."""
+    spheroid = Spheroid(model.aspect_ratio)
+    j1, _, j3 = spheroid.inertia.tolist()
+    return [spheroid.volume, spheroid.volume, j1, j3]
+
+
+def _slenderness(model: BodyModel) -> list[float]:
+    """max(k, 1/k) and its square."""
+    k = model.aspect_ratio
+    slenderness = max(k, 1.0 / k)
+    return [slenderness, slenderness**2]
