@@ -172,7 +172,9 @@ def relaxation_times(equations: Any) -> dict[str, float]:
     if equations.massless:
         return {}
     names = ("translation_across", "translation_along", "rotation_of_axis", "rotation_about_axis")
-    return dict(zip(names, (1.0 / equations.relaxation_rates[:, 0]).tolist(), strict=True))
+    with np.errstate(divide="ignore"):  # a part without inertia follows at once
+        times = np.where(equations.relaxation_rates > 0.0, 1.0 / equations.relaxation_rates, 0.0)
+    return dict(zip(names, times[:, 0].tolist(), strict=True))
 
 
 def _interrupted(recording: Recording, summary: Mapping[str, Any], number: int) -> Interrupted:

@@ -99,7 +99,8 @@ class Assembled:
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
         """The wanted quantities (T, n, ...) from states (T, n, n_state) at times (T,)."""
         shears = [part.frame.shear for part in self.parts]
-        found = observe(self.equations, times, states, self.steady, wanted, shears[0])
+        shear = shears[0] if len(shears) == 1 else None
+        found = observe(self.equations, times, states, self.steady, wanted, shear)
         if "orbit_constant" in found and len(self.parts) > 1:
             for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
                 axes, k = found["axis"][:, lanes], part.body.aspect_ratio

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,11 +75,21 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
 
 def _flow_keys(flow: Flow) -> dict[str, Any]:
     keys = _plain(flow.spec())
-    for name, value in keys.items():
-        if callable(value):
-            right = "a function in a file: function: FILE.py:NAME"
-            raise SceneError(f"flow.{name}", "is a Python function, which no file holds", right)
+    if any(not name.rpartition(":")[0].endswith(".py") for name in _functions(keys)):
+        right = "a function in a file: function: FILE.py:NAME"
+        raise SceneError("flow.function", "is a Python function, which no file holds", right)
     return dict(keys)
+
+
+def _functions(keys: Any) -> Iterator[str]:
+    """Names of the functions in a specification."""
+    if isinstance(keys, list):
+        for entry in keys:
+            yield from _functions(entry)
+    elif isinstance(keys, dict):
+        if keys.get("type") == "user":
+            yield str(keys["function"])
+        yield from _functions(list(keys.values()))
 
 
 def _written_vector(name: str, value: Any) -> list[float]:
