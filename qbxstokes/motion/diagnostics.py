@@ -24,7 +24,9 @@ def _components(axis: ArrayLike, frame: ArrayLike | None) -> tuple[Array, Array,
     return d[..., 0], d[..., 1], d[..., 2]
 
 
-def orbit_constant(axis: ArrayLike, aspect_ratio: float, frame: ArrayLike | None = None) -> Array:
+def orbit_constant(
+    axis: ArrayLike, aspect_ratio: float | Array, frame: ArrayLike | None = None
+) -> Array:
     """C = sqrt(b^2 + k^2 a^2)/(k |n|), (..., 3) -> (...): 0 log-rolling, infinite tumbling."""
     a, b, n = _components(axis, frame)
     with np.errstate(divide="ignore", invalid="ignore"):

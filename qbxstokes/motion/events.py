@@ -23,6 +23,7 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.frames import symmetry_axis
+from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY
 
 Array = NDArray[np.float64]
 Row = Sequence[float]
@@ -148,7 +149,7 @@ class Passage:
 
     def components(self, y: Row) -> tuple[float, float]:
         """Components of the axis along the normal and across it; zero for an axis at rest."""
-        d1, d2, d3 = symmetry_axis(*y[3:7])
+        d1, d2, d3 = symmetry_axis(*y[ORIENTATION])
         n, a = self._normal, self._across
         along = d1 * n[0] + d2 * n[1] + d3 * n[2]
         across = d1 * a[0] + d2 * a[1] + d3 * a[2]
@@ -280,13 +281,13 @@ class Events:
         return root(lambda t: function(t, step.state(t)[0].tolist()), t0, t1, a, b)
 
     def _record(self, event: Event, t: float, y: Array) -> None:
-        axis = rotation.axis(rotation.normalize(y[:, 3:7]))[0]
+        axis = rotation.axis(rotation.normalize(y[:, ORIENTATION]))[0]
         v, _ = self.equations.velocities(t, y)
         constant = math.nan
         if self.frame is not None:
             k = self.equations.model.aspect_ratio
             constant = float(orbit_constant(axis, k, self.frame.axes))
-        row = [t, *y[0, 0:3].tolist(), *axis.tolist(), *v[0].tolist(), constant]
+        row = [t, *y[0, POSITION].tolist(), *axis.tolist(), *v[0].tolist(), constant]
         if event.name == "half_turns":
             turn = [math.nan] * 4
             if len(self.recent) == 2:
@@ -311,7 +312,7 @@ def turning_point(equations: RigidBodyEquations, component: str, scale: float) -
         v, omega = equations.velocities(t, np.array(y)[None])
         if component[0] == "x":
             return float(v[0, index])
-        return float(np.cross(omega[0], symmetry_axis(*y[3:7]))[index])
+        return float(np.cross(omega[0], symmetry_axis(*y[ORIENTATION]))[index])
 
     return Event(f"turning_{component}", rate, threshold=1e-12 * scale)
 
@@ -325,9 +326,9 @@ def steady(equations: RigidBodyEquations, rate: float, ends: bool) -> Event:
 
     def excess(t: float, y: Row) -> float:
         _, omega = equations.velocities(t, np.array(y)[None])
-        change = float(np.linalg.norm(np.cross(omega[0], symmetry_axis(*y[3:7]))))
+        change = float(np.linalg.norm(np.cross(omega[0], symmetry_axis(*y[ORIENTATION]))))
         if not equations.massless:
-            change += float(np.linalg.norm(np.array(equations.rate_of_rows(t, y))[7:10]))
+            change += float(np.linalg.norm(np.array(equations.rate_of_rows(t, y))[VELOCITY]))
         return change - rate
 
     reason = f"steady: axis and velocity change by less than {rate:g} per unit of time"
@@ -349,8 +350,8 @@ def meeting(points: Array, aspect_ratio: float, least: float) -> Event:
     """The instant at which one of the points comes as near to the surface as `least`."""
 
     def within(t: float, y: Row) -> float:
-        axis = np.array(symmetry_axis(*y[3:7]))
-        return least - float(np.min(clearance(points, y[0:3], axis, aspect_ratio)))
+        axis = np.array(symmetry_axis(*y[ORIENTATION]))
+        return least - float(np.min(clearance(points, y[POSITION], axis, aspect_ratio)))
 
     reason = f"a singular point of the flow is {least:.3g} from the surface"
     return Event("met_singularity", within, direction=1, ends=True, reason=reason)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.quantities import MOTION
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ class Moment:
     @cached_property
     def orientation(self) -> Array:
         """Unit quaternions (n, 4)."""
-        return rotation.normalize(self.states[:, 3:7])
+        return rotation.normalize(self.states[:, ORIENTATION])
 
     @cached_property
     def axis(self) -> Array:
@@ -61,11 +62,11 @@ class Moment:
 def _orbit_constant(moment: Moment) -> Array:
     if moment.shear is None:
         return np.full(len(moment.states), np.nan)
-    return orbit_constant(moment.axis, moment.equations.model.aspect_ratio, moment.shear)
+    return orbit_constant(moment.axis, moment.equations.aspect_ratio, moment.shear)
 
 
 OBSERVABLES: dict[str, Callable[[Moment], Array]] = {
-    "position": lambda moment: moment.states[:, 0:3],
+    "position": lambda moment: moment.states[:, POSITION],
     "orientation": lambda moment: moment.orientation,
     "axis": lambda moment: moment.axis,
     "velocity": lambda moment: moment.velocities[0],

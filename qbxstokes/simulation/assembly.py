@@ -185,7 +185,7 @@ def assemble(
     if len(parts) > 1:
         _check_alike(parts)
         models = [h.model for h, n in zip(formed, counts, strict=True) for _ in range(n)]
-        if any(part.flow is not first.flow for part in parts):
+        if any(h.provider is not flows for h in formed):
             flows = [h.provider for h, n in zip(formed, counts, strict=True) for _ in range(n)]
     equations = RigidBodyEquations(
         models,
