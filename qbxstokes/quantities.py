@@ -286,6 +286,14 @@ _SETUP_TIME = Quantity(
 )
 _ITERATIONS = Quantity("iterations", "", "1", "GMRES iterations of all solves")
 _ERROR = Quantity("error", "", "1", "largest error against closed forms and references")
+# Of a measured trajectory, besides and in the place of the other columns.
+MEASURED = _named(
+    Quantity("wall_time", "", "s", "wall time of the motion, without set-up: the median"),
+    _SETUP_TIME,
+    Quantity("rejected", "", "1", "rejected steps"),
+    _ITERATIONS,
+    _ERROR,
+)
 BODY_COLUMNS = _named(
     *(
         Quantity(
@@ -343,7 +351,7 @@ PARAMETER = _named(
 )
 
 
-_COLUMN = BODY_COLUMNS | COLUMNS | PARAMETER
+_COLUMN = MEASURED | BODY_COLUMNS | COLUMNS | PARAMETER
 
 
 def column(name: str) -> Quantity:

@@ -147,3 +147,158 @@ def test_what_has_no_meaning_is_refused(
     change: dict[str, Any], wrong: str, write_case: WriteCase
 ) -> None:
     assert wrong in refused(BARE | change, write_case)
+
+
+# -- sweeps of bodies ------------------------------------------------------------------------------
+
+
+def test_a_sweep_of_bodies_has_a_row_for_each() -> None:
+    k = [0.2, 3.0]
+    result = qs.sweep(BARE, {"body.aspect_ratio": k, "hydrodynamics.tolerance": [1e-4, 1e-8]})
+    table = result.table
+    assert result.shape == (2, 2)
+    assert result.names == ["aspect_ratio", "hydrodynamics_tolerance", "table", "trajectory"]
+    assert not [name for name in table.dtype.names if name.startswith(("held_", "free_"))]
+    assert np.all(table["status"] == 1)
+    single = qs.run({**BARE, "body": {"aspect_ratio": 3.0}})
+    row, summary = table[3], single.summary
+    for name, value in summary["resistance"].items():
+        assert row[f"resistance_{name}"] == value
+    assert row["linear"] == single.linear
+    assert [row[f"cubic_{i}"] for i in range(4)] == single.cubic.tolist()
+    assert row["error"] == summary["errors"]["law"]
+    for name in ("error_estimate", "iterations", "true_residual", "n_theta", "expansion_order"):
+        assert row[name] == summary["hydrodynamics"][name]
+    assert row["nodes"] == summary["nodes"]
+    assert np.all(table["error"] < table["hydrodynamics_tolerance"])
+    assert np.all(table["setup_time"] > 0.0)
+    assert result.attributes["table"]["resistance_rotation_axial: units"] == "mu c^3"
+
+
+def test_bodies_are_swept_in_a_flow_and_over_words() -> None:
+    case = {**BARE, "flow": FLOWS["linear"], "start": PLACE, "hydrodynamics": {"tolerance": 1e-6}}
+    axes = {"flow.rate": [1.0, 2.0], "hydrodynamics.expansion": ["inner", "average"]}
+    table = qs.sweep(case, axes).table
+    assert set(table["hydrodynamics_expansion"]) == {b"inner", b"average"}
+    velocity = table["free_velocity_1"].reshape(2, 2)
+    np.testing.assert_allclose(velocity, [[1.0, 1.0], [2.0, 2.0]], rtol=1e-6)
+    assert np.all(table["error"] < 1e-6)
+
+
+def test_what_cannot_be_formed_fails_alone(run_cli: Run, write_case: WriteCase) -> None:
+    axes = [{"body.aspect_ratio": [0.5, 0.001]}]
+    write_case({**BARE, "hydrodynamics": {"tolerance": 1e-13}, "sweep": {"axes": axes}})
+    done = run_cli("case.yaml", "--progress", "none")
+    assert done.returncode == 1
+    assert "1 done, 1 failed, each alone" in done.stdout
+    assert "trajectory 1 failed: the estimated error" in done.stderr
+
+
+# -- measured motions ------------------------------------------------------------------------------
+
+MOTION: dict[str, Any] = {
+    "body": {"aspect_ratio": 0.5},
+    "flow": {"type": "shear"},
+    "start": {"orientation": {"axis": [1.0, 0.0, 1.0]}},
+    "time": {"end": 6.0, "samples": 7, "tolerance": 1e-8},
+    "hydrodynamics": {"tolerance": 1e-6},
+}
+MEASURE = {"measure": {"repeats": 1}}
+
+
+@pytest.mark.parametrize("stokes", [0.0, 2.0])
+def test_a_measured_trajectory_is_the_single_motion(stokes: float) -> None:
+    case = {**MOTION, "body": {"aspect_ratio": 0.5, "stokes_number": stokes}}
+    result = qs.sweep(case, {"time.tolerance": [1e-4, 1e-8]}, **MEASURE)
+    table, alone = result.table, qs.run(case)
+    np.testing.assert_array_equal(result.orientation[1], alone.orientation)
+    steps = alone.summary["integration"]
+    row = table[1]
+    assert row["steps"] == steps["steps"]
+    times = alone.time  # what watches for events takes some right-hand sides of its own
+    assert row["rhs_evaluations"] == qs.from_case(case).assemble().trajectory(times).evaluations
+    assert row["rejected"] == steps["rejected"]
+    assert row["error"] == max(alone.summary["errors"].values())
+    assert table["error"][0] > table["error"][1] > 0.0
+    assert np.all(table["iterations"] == 4)
+    assert np.all((table["wall_time"] > 0.0) & (table["setup_time"] > 0.0))
+    # The body of both is the same, and its set-up measured once.
+    assert len(set(table["setup_time"].tolist())) == 1
+
+
+def test_every_step_counts_its_iterations_and_no_reference_is_no_error() -> None:
+    case = {
+        **MOTION,
+        "time": {"end": 0.2, "samples": 2, "tolerance": 1e-3},
+        "compare": {"reference": "none"},
+    }
+    axes = {"hydrodynamics.solve": ["functional", "every_step"]}
+    table = qs.sweep(case, axes, **MEASURE).table
+    assert table["iterations"][0] == 4
+    assert table["iterations"][1] >= 4 + table["rhs_evaluations"][1]
+    assert np.all(np.isnan(table["error"]))
+    flow = {"flow": FLOWS["singular"], "compare": {"reference": "auto"}}
+    (unknown,) = qs.sweep({**case, **flow}, {"body.aspect_ratio": [0.5]}, **MEASURE).table
+    assert np.isnan(unknown["error"])
+    assert unknown["steps"] > 0
+
+
+def test_options_of_petsc_are_swept_where_each_is_alone(write_case: WriteCase) -> None:
+    methods = {"petsc.ts_type": [None, "rk", "bdf"], "petsc.ts_rk_type": [None, "3bs", None]}
+    sweep = {"axes": [methods, {"petsc.ts_bdf_order": [2, 6]}]}
+    case = {**MOTION, "time": {"end": 2.0, "samples": 3, "tolerance": 1e-4}}
+    table = qs.run({**case, "sweep": {**sweep, **MEASURE}}).table
+    assert table["petsc_ts_type"].tolist() == [b"null"] * 2 + [b"rk"] * 2 + [b"bdf"] * 2
+    steps = table["steps"].reshape(3, 2)
+    assert np.all(steps[:2, 0] == steps[:2, 1])
+    assert steps[2, 0] != steps[2, 1]  # the order is heeded, and by that method alone
+    assert len(set(steps[:, 1].tolist())) == 3
+    message = refused({**case, "sweep": sweep}, write_case)
+    assert "petsc is the same for all trajectories; sweep other keys, or set sweep.meas" in message
+
+
+def test_without_measure_nothing_is_measured() -> None:
+    table = qs.sweep(MOTION, {"time.tolerance": [1e-4]}, store="summary", measure=False).table
+    assert not {"setup_time", "error", "iterations"} & set(table.dtype.names)
+
+
+def test_an_error_above_the_limit_fails_the_trajectory(run_cli: Run, write_case: WriteCase) -> None:
+    axes = [{"time.tolerance": [1e-2, 1e-8]}]
+    sweep = {"axes": axes, **MEASURE, "store": "summary"}
+    path = write_case({**MOTION, "compare": {"tolerance": 1e-5}, "sweep": sweep})
+    done = run_cli(path.name, "--progress", "none")
+    assert done.returncode == 1
+    assert "trajectory 0 failed: error" in done.stderr
+    assert "exceeds compare.tolerance 1e-05" in done.stderr
+    table = qs.load(path.with_suffix(".h5")).table
+    assert table["status"].tolist() == [2, 1]
+    assert table["error"][0] > 1e-5 > table["error"][1]
+
+
+def test_plans_say_that_each_is_measured(run_cli: Run, write_case: WriteCase) -> None:
+    sweep = {"axes": [{"time.tolerance": [1e-2, 1e-8]}], "measure": True}
+    write_case({**MOTION, "sweep": sweep})
+    told = run_cli("case.yaml", "--dry-run").stdout
+    assert "each alone, once to warm up and 5 times" in told
+    write_case({**BARE, "sweep": {"axes": [{"body.aspect_ratio": [1, 2]}]}})
+    told = run_cli("case.yaml", "--dry-run").stdout
+    assert "2 bodies (2)" in told
+    assert "motion: nothing is integrated" in told
+    write_case({**MOTION, "sweep": sweep | {"measure": {"repeats": 0}}})
+    assert "sweep.measure.repeats: is 0" in run_cli("case.yaml", "--dry-run").stderr
+
+
+@pytest.mark.mpi
+def test_ranks_share_measured_trajectories(
+    run_cli: Run, mpirun: Run, write_case: WriteCase, tmp_path: Path
+) -> None:
+    axes = [{"body.aspect_ratio": [0.5, 2.0]}, {"time.tolerance": [1e-2, 1e-4]}]
+    write_case({**MOTION, "sweep": {"axes": axes, **MEASURE}})
+    assert run_cli("case.yaml", "--quiet", "--set", "output.file=one.h5").returncode == 0
+    done = mpirun(2, "case.yaml", "--quiet", "--set", "output.file=two.h5")
+    assert done.returncode == 0, done.stderr
+    one, two = (qs.load(tmp_path / name) for name in ("one.h5", "two.h5"))
+    for name in one.table.dtype.names:
+        if not name.endswith("_time"):
+            np.testing.assert_array_equal(one.table[name], two.table[name])
+    np.testing.assert_array_equal(one.orientation, two.orientation)

@@ -85,12 +85,14 @@ def _space(document: Document, folder: Path) -> SweepSpace:
         section = Sweep.model_validate(given)
         for number, axis in enumerate(section.axes):
             for name in axis:
-                if name != TABLE and section_at(parse_key(name)[:1]) is None:
+                known = name == TABLE or parse_key(name)[0] == "petsc"
+                if not known and section_at(parse_key(name)[:1]) is None:
                     close = nearest(name, [key for key, _ in keys()])
                     right = f"did you mean {close}?" if close else "a key such as body.aspect_ratio"
                     where = ("sweep", "axes", number, name)
                     raise document.error(where, "unknown key", right)
-        return build_space(section.axes, folder)
+        alone = section.measure is not None or document.data.get("task") == "body"
+        return build_space(section.axes, folder, alone)
     except Invalid as invalid:
         first = replace(invalid.faults[0], key=("sweep", *invalid.faults[0].key))
         raise document.error(*_told(first)) from None

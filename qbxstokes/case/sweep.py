@@ -42,8 +42,10 @@ Array = NDArray[Any]
 MAX_POINTS = 10**12
 TABLE = "table"
 _GENERATORS = ("linspace", "logspace", "uniform", "random")
-# What a sweep cannot vary: the result is one file with one set of instants and one set of options.
-_FIXED = ("task", "title", "sweep", "output", "compare", "petsc", "time.samples", "time.at")
+# What a sweep cannot vary: the result is one file with one set of instants.
+_FIXED = ("task", "title", "sweep", "output", "compare", "time.samples", "time.at")
+# Nor this, where trajectories are integrated together.
+_SHARED = ("petsc",)
 
 
 def _axes(value: Any) -> Any:
@@ -55,6 +57,19 @@ def _axes(value: Any) -> Any:
                 f"is {describe(axis)}", "an axis such as body.aspect_ratio: [1, 2]", (index,)
             )
     return value
+
+
+def _measure(value: Any) -> Any:
+    """true is a section of defaults, false none."""
+    return ({} if value else None) if isinstance(value, bool) else value
+
+
+class Measure(Section):
+    """What is measured of each trajectory, alone: times are the medians of the repeats."""
+
+    repeats: Annotated[Integer, Field(ge=1, le=1000)] = Field(
+        default=5, description="times that each is computed, after once to warm up"
+    )
 
 
 class Sweep(Section):
@@ -76,6 +91,12 @@ class Sweep(Section):
     discard: Annotated[Number, Field(ge=0, lt=1)] = Field(
         default=0.0, description="part of the time left out of averages, from the start"
     )
+    measure: Annotated[Measure | None, Convert(_measure, json=bool | Measure)] = Field(
+        default=None,
+        description="compute each trajectory alone, warm and without the cache, and record set-up "
+        "and wall time, iterations and error as well; PETSc options may then be swept",
+        examples=[True],
+    )
 
 
 class SweepFault(Exception):
@@ -86,8 +107,11 @@ class SweepFault(Exception):
         self.key, self.wrong, self.right = key, wrong, right
 
 
-def build_space(axes: Sequence[Mapping[str, Any]], folder: Path) -> SweepSpace:
-    """The axes of the section with their values; raises SweepFault."""
+def build_space(axes: Sequence[Mapping[str, Any]], folder: Path, alone: bool = False) -> SweepSpace:
+    """The axes of the section with their values; raises SweepFault.
+
+    alone: each trajectory is computed by itself and may have options of its own.
+    """
     built: list[SweepAxis] = []
     seen: dict[Key, Key] = {}
     for number, axis in enumerate(axes):
@@ -105,6 +129,7 @@ def build_space(axes: Sequence[Mapping[str, Any]], folder: Path) -> SweepSpace:
                 where, f"its keys have different numbers of values ({lengths})", "equal numbers"
             )
         for column in columns:
+            _check_key(column, alone)
             if column.key == ORIENTATION and not column.oriented:
                 raise SweepFault(
                     column.where,
@@ -130,16 +155,18 @@ def build_space(axes: Sequence[Mapping[str, Any]], folder: Path) -> SweepSpace:
     return SweepSpace(tuple(built), shape)
 
 
-def _check_key(key: Key, where: Key) -> None:
-    dotted = ".".join(str(part) for part in key)
-    for fixed in _FIXED:
+def _check_key(column: Column, alone: bool) -> None:
+    dotted = ".".join(str(part) for part in column.key)
+    for fixed in _FIXED if alone else (*_FIXED, *_SHARED):
         if dotted == fixed or dotted.startswith(fixed + "."):
-            raise SweepFault(where, f"{fixed} is the same for all trajectories", "sweep other keys")
+            right = "sweep other keys"
+            if fixed in _SHARED:
+                right += ", or set sweep.measure: each trajectory is then computed alone"
+            raise SweepFault(column.where, f"{fixed} is the same for all trajectories", right)
 
 
 def _column(name: str, given: Any, where: Key) -> Column:
     key = parse_key(name)
-    _check_key(key, where)
     if isinstance(given, (list, tuple)):
         if not given:
             raise SweepFault(where, "has no values", "at least one")
@@ -262,8 +289,6 @@ def _table(given: Any, folder: Path, where: Key) -> list[Column]:
     if not names or not all(names) or len(set(names)) != len(names):
         raise SweepFault(where, f"the first line of {path} names no distinct keys", "a header")
     keys = [parse_key(name) for name in names]
-    for key in keys:
-        _check_key(key, where)
     lines = body.splitlines()
     try:
         numbers = np.loadtxt(lines, delimiter=",", ndmin=2) if any(lines) else np.empty((0, 0))

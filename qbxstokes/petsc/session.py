@@ -12,6 +12,8 @@ from typing import Any
 
 from qbxstokes.petsc.launch import starting_mpi
 
+# What the names of the linear solver's options begin with.
+SOLVER_OPTIONS = ("ksp_", "pc_")
 # Whoever holds objects of PETSc that call Python, and may still do so when the interpreter ends.
 LIVE: weakref.WeakSet[Any] = weakref.WeakSet()
 
@@ -25,11 +27,13 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
     """
     import petsc4py
 
+    # Every call of petsc4py's own adds one more collective clean-up at the exit, which ranks that
+    # have called it more often than others would wait in for ever.
     if "petsc4py.PETSc" not in sys.modules:
         gc.freeze()  # nothing so far holds an object of PETSc: `_release` need not look through it
-    with starting_mpi():
-        petsc4py.init(["qbxstokes", *arguments])
-        from petsc4py import PETSc
+        with starting_mpi():
+            petsc4py.init(["qbxstokes", *arguments])
+    from petsc4py import PETSc
 
     atexit.unregister(_release)
     atexit.register(_release)
@@ -79,6 +83,28 @@ def temporary_options(
                 database.setValue(name, before[name])
 
 
+@contextmanager
+def own_options(values: Mapping[str, Any]) -> Iterator[None]:
+    """Options that hold for a while in the place of all others of their names; None: not given."""
+    from petsc4py import PETSc
+
+    database = PETSc.Options()
+    before = {name: text for name, text in database.getAll().items() if name in values}
+    _replace(database, values)
+    try:
+        yield
+    finally:
+        _replace(database, dict.fromkeys(values) | before)
+
+
+def _replace(database: Any, values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        database.delValue(name)
+        if value is not None:
+            whole = isinstance(value, float) and value.is_integer()
+            database.setValue(name, None if value is True else str(int(value) if whole else value))
+
+
 def _release() -> None:
     """Destroy what Python has let go of, while Python still runs.
 
@@ -97,7 +123,7 @@ def _release() -> None:
 def solver_options(PETSc: Any) -> list[str]:
     """Names of the options for the linear solver that the user gave."""
     names = PETSc.Options().getAll()
-    return sorted(name for name in names if name.startswith(("ksp_", "pc_")))
+    return sorted(name for name in names if name.startswith(SOLVER_OPTIONS))
 
 
 def stepper_options(PETSc: Any) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -38,6 +38,17 @@ class BlockResult:
     failed: dict[int, str] = field(default_factory=dict)
     steps: int = 0
     evaluations: int = 0
+
+
+def empty_result(
+    n: int, columns: Iterable[str], quantities: Iterable[str], times: Array
+) -> BlockResult:
+    """Results of n trajectories at times (T,) that are still to be filled in."""
+    return BlockResult(
+        {name: np.full(n, np.nan) for name in columns},
+        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in quantities},
+        times,
+    )
 
 
 def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:
@@ -131,12 +142,7 @@ def compute_block(
     fails stands alone. pushed: see `assemble`. poke: called at every step; where it says stop, the
     state is saved, and the result is not whole.
     """
-    n = sum(len(scene) for scene in scenes)
-    result = BlockResult(
-        {name: np.full(n, np.nan) for name in COLUMNS},
-        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in quantities},
-        times,
-    )
+    result = empty_result(sum(len(scene) for scene in scenes), COLUMNS, quantities, times)
     parts: list[Part] = []
     first = 0
     for scene in scenes:
@@ -253,6 +259,12 @@ class _Integration:
         seconds = spent + clock.perf_counter() - begin
         self.result.summary["wall_time"][rows] = seconds / len(rows)
 
+    def _summarise(
+        self, assembled: Assembled, end: Checkpoint, states: Array, rows: Indices
+    ) -> None:
+        samples = assembled.observe(self.times, states, tuple(self.result.quantities))
+        summarise(self.result, assembled, end, states, samples, rows, self.discard)
+
     # -- the state of a block in work ---------------------------------------------------------
 
     def save(self) -> None:
@@ -294,36 +306,42 @@ class _Integration:
             result.failed = {int(row): reason for row, reason in note["failed"].items()}
             result.steps, result.evaluations = note["totals"]
 
-    def _summarise(
-        self, assembled: Assembled, end: Checkpoint, states: Array, rows: Indices
-    ) -> None:
-        """Quantities, averages and final states of integrated lanes."""
-        result, times = self.result, self.times
-        samples = assembled.observe(times, states, tuple(result.quantities))
-        for name, array in result.quantities.items():
-            array[rows] = samples[name].swapaxes(0, 1)
-        table = result.summary
-        averages = assembled.averages(times, samples, self.discard)
-        for name in ("mean_velocity", "velocity_change"):
-            averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
-            del averages[name]
-        for name, values in averages.items():
-            table[name][rows] = values
-        for name in ("position", "velocity", "angular_velocity"):
-            for i in range(3):
-                table[f"final_{name}_{i + 1}"][rows] = samples[name][-1][:, i]
-        last = rotation.normalize(states[-1, :, 3:7])
-        for i in range(4):
-            table[f"final_orientation_{i}"][rows] = last[:, i]
-        table["end"][rows] = float(times[-1])
-        table["steps"][rows] = end.steps
-        table["rhs_evaluations"][rows] = end.evaluations
-        estimates = assembled.error_estimates(float(times[-1]))
-        for lanes, scene, estimate in zip(
-            assembled.slices(), assembled.parts, estimates, strict=True
-        ):
-            table["error_estimate"][rows[lanes]] = estimate
-            table["jeffery_period"][rows[lanes]] = np.nan if scene.period is None else scene.period
+
+def summarise(
+    result: BlockResult,
+    assembled: Assembled,
+    end: Checkpoint,
+    states: Array,
+    samples: Mapping[str, Array],
+    rows: Indices,
+    discard: float,
+) -> None:
+    """Fill in quantities, averages and final states of lanes.
+
+    end: of the integration. states (T, n, n_state), samples (T, n, ...) of `Assembled.observe`.
+    """
+    times, table = result.times, result.summary
+    for name, array in result.quantities.items():
+        array[rows] = samples[name].swapaxes(0, 1)
+    averages = assembled.averages(times, samples, discard)
+    for name in ("mean_velocity", "velocity_change"):
+        averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
+        del averages[name]
+    for name, values in averages.items():
+        table[name][rows] = values
+    for name in ("position", "velocity", "angular_velocity"):
+        for i in range(3):
+            table[f"final_{name}_{i + 1}"][rows] = samples[name][-1][:, i]
+    last = rotation.normalize(states[-1, :, 3:7])
+    for i in range(4):
+        table[f"final_orientation_{i}"][rows] = last[:, i]
+    table["end"][rows] = float(times[-1])
+    table["steps"][rows] = end.steps
+    table["rhs_evaluations"][rows] = end.evaluations
+    estimates = assembled.error_estimates(float(times[-1]))
+    for lanes, scene, estimate in zip(assembled.slices(), assembled.parts, estimates, strict=True):
+        table["error_estimate"][rows[lanes]] = estimate
+        table["jeffery_period"][rows[lanes]] = np.nan if scene.period is None else scene.period
 
 
 def _halves(parts: list[Part], count: int) -> tuple[list[Part], list[Part]]:

@@ -20,6 +20,7 @@ import numpy as np
 from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
@@ -183,8 +184,10 @@ def flow_seconds(flow: Flow, place: np.ndarray) -> float:
     return best / 16.0
 
 
-def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
+def block_seconds(scenes: Swept, constants: Constants = XEON) -> np.ndarray:
     """Integration time of every block."""
+    if not isinstance(scenes, Scenes):
+        return np.full(scenes.blocks, scenes.turns * constants.model)
     case, flow = scenes.loaded.case, scenes.loaded.flow
     seconds = constants.rhs(case.body.stokes_number > 0, flow.degree, scenes.centred)
     call = constants.call
@@ -193,14 +196,16 @@ def block_seconds(scenes: Scenes, constants: Constants = XEON) -> np.ndarray:
         seconds += flow_seconds(flow, scenes.scene(0).plan.simulation.position[0])
     calls = weights(scenes, constants)[scenes.scene_of_block()]
     fixed = constants.block + scenes.samples * constants.block_sample
-    return np.asarray(fixed + calls * (scenes.block_sizes() * seconds + call))
+    once = fixed + calls * (scenes.block_sizes() * seconds + call)
+    return np.asarray(scenes.turns * once)
 
 
-def estimate(scenes: Scenes, row_bytes: int, constants: Constants = XEON) -> Estimate:
+def estimate(scenes: Swept, row_bytes: int, constants: Constants = XEON) -> Estimate:
     """Cost of the whole sweep."""
     sizes, per_block = scenes.block_sizes(), block_seconds(scenes, constants)
     n = scenes.space.size
-    bodies = len(scenes.bodies[1])
+    # Where bodies are what is swept, forming them is all the work of a block.
+    bodies = scenes.turns * len(scenes.bodies[1]) if isinstance(scenes, Scenes) else 0
     held = 8 * scenes.samples * int(sizes.max()) * 60
     return Estimate(
         models=bodies * constants.model,

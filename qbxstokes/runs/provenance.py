@@ -28,7 +28,10 @@ def start_petsc(
         from qbxstokes.petsc import session
 
         revision = asked_revision() if comm.rank == 0 else None
-        PETSc = session.start(petsc, loaded.case.petsc)
+        # Those that are swept hold for one trajectory at a time.
+        swept = [c.key[1:] for _, c in loaded.space.columns] if loaded.space else []
+        given = {k: value for k, value in loaded.case.petsc.items() if (k,) not in swept}
+        PETSc = session.start(petsc, given)
     if revision is None:
         return PETSc, {}
     with clock.part("import"):

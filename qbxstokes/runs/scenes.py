@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.space import Column, Key
+from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
 
 Indices = NDArray[np.int64]
@@ -65,7 +66,13 @@ class Block:
 
 
 class Scenes:
-    """All scenes and blocks of a sweep."""
+    """All scenes and blocks of a sweep.
+
+    alone: whether each trajectory is computed by itself. turns: how many times it is.
+    """
+
+    nouns = "trajectory", "trajectories"
+    alone, turns = False, 1
 
     def __init__(self, loaded: LoadedCase) -> None:
         assert loaded.space is not None
@@ -80,6 +87,9 @@ class Scenes:
         section = loaded.case.sweep
         most = BLOCK_BYTES // (8 * _NUMBERS_PER_SAMPLE * self.samples)
         self.block_size = max(1, min(section.block, most))
+        self.alone = section.measure is not None
+        if section.measure is not None:
+            self.block_size, self.turns = 1, 1 + section.measure.repeats
         self._latest: Scene | None = None
         self._classes = [self._classes_of(axis) for axis in range(len(self.space.axes))]
         self.shape = tuple(len(classes) for classes in self._classes)
@@ -192,11 +202,21 @@ class Scenes:
         """A scene by its number; raises QbxStokesError where the case cannot be computed."""
         if self._latest is not None and self._latest.number == number:
             return self._latest
-        data = self.space.assign(self.loaded.document.data, self.first_points(number))
-        document = replace(self.loaded.document, data=data)
-        loaded = from_document(document, self.loaded.path)
+        loaded = case_at(self.loaded, self.first_points(number))
         self._latest = Scene(number, loaded, make_plan(loaded, pushed=self.pushed))
         return self._latest
+
+    @property
+    def columns(self) -> dict[str, Quantity]:
+        """What the table says of a trajectory after its swept values."""
+        return COLUMNS | MEASURED if self.alone else COLUMNS
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Those that are stored at every instant."""
+        section = self.loaded.case.sweep
+        assert section is not None
+        return self.scene(0).plan.quantities if section.store == "samples" else ()
 
     @property
     def common_times(self) -> NDArray[np.float64] | None:
@@ -343,6 +363,13 @@ class Scenes:
         number = np.ravel_multi_index(tuple(grid.ravel() for grid in grids), counts)
         _, representatives, body = np.unique(number, return_index=True, return_inverse=True)
         return body, [int(i) for i in representatives]
+
+
+def case_at(loaded: LoadedCase, points: Sequence[int]) -> LoadedCase:
+    """The case at one point of every axis."""
+    assert loaded.space is not None
+    document = replace(loaded.document, data=loaded.space.assign(loaded.document.data, points))
+    return from_document(document, loaded.path)
 
 
 def _changes_body(column: Column) -> bool:

@@ -17,6 +17,7 @@ from qbxstokes.io import sweep as store
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.store import Work, holds_work, open_work, unwritable
 from qbxstokes.runs import handout
+from qbxstokes.runs.bodies import Swept, swept_scenes
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.gathering import Gathering, seconds_between
@@ -25,7 +26,6 @@ from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Progress
-from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep_layout import layout_of, scales_of
 from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
 from qbxstokes.runs.target import result_path
@@ -63,7 +63,7 @@ def sweep_command(job: Job) -> int:
         elif speak:
             from qbxstokes.runs.sweep_report import summary_text
 
-            print(summary_text(Scenes(loaded), summary))
+            print(summary_text(swept_scenes(loaded), summary))
         for name in summary["unused_petsc_options"]:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
         tell_failures(summary)
@@ -75,7 +75,7 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
     from qbxstokes.runs.cost import estimate
     from qbxstokes.runs.sweep_report import plan_text
 
-    scenes = Scenes(loaded)
+    scenes = swept_scenes(loaded)
     layout = layout_of(scenes)
     cost = estimate(scenes, layout.row_bytes)
     return {
@@ -83,7 +83,7 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
         "shape": scenes.space.shape,
         "scenes": scenes.size,
         "blocks": scenes.blocks,
-        "operators": len(scenes.bodies[1]),
+        "operators": cost.bodies or scenes.space.size,
         "bytes_on_disk": layout.bytes,
         "memory_per_rank": cost.memory,
         "skips": list(scenes.skips),
@@ -102,7 +102,7 @@ def run_sweep(
     """Compute the sweep on all ranks and return its summary (on every rank)."""
     from qbxstokes.petsc import session
 
-    scenes = Scenes(loaded)
+    scenes = swept_scenes(loaded)
     seconds_between(loaded)
     layout = layout_of(scenes)
     identity = identity_of(
@@ -122,7 +122,7 @@ def run_sweep(
 
 def _computed(
     comm: Any,
-    scenes: Scenes,
+    scenes: Swept,
     layout: store.Layout,
     options: argparse.Namespace,
     provenance: dict[str, Any],
@@ -143,7 +143,8 @@ def _computed(
             models = form_models(comm, scenes, todo, counters, options.no_cache, speak)
         progress = None
         if comm.rank == 0 and not options.quiet:
-            progress = Progress(scenes.space.size, options.progress, comm.size, before=todo.done)
+            size, unit = scenes.space.size, scenes.nouns[1]
+            progress = Progress(size, options.progress, comm.size, unit, before=todo.done)
         begin = time.perf_counter()
         with Interruption() as interruption, compilation_told(comm, speak):
             interruption.listening = True
@@ -177,7 +178,7 @@ class Opening:
 
     def __init__(
         self,
-        scenes: Scenes,
+        scenes: Swept,
         layout: store.Layout,
         identity: dict[str, Any],
         options: argparse.Namespace,
@@ -240,7 +241,7 @@ class Opening:
 
 
 def _merged(
-    scenes: Scenes,
+    scenes: Swept,
     layout: store.Layout,
     gathering: Gathering,
     opening: Opening,

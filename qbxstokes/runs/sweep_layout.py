@@ -11,23 +11,20 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.space import column_name
 from qbxstokes.io.sweep import REASON_LENGTH, Layout
-from qbxstokes.quantities import COLUMNS, PARAMETER, STATUS, Quantity
-from qbxstokes.runs.scenes import Scenes
+from qbxstokes.quantities import PARAMETER, STATUS, Quantity
+from qbxstokes.runs.bodies import Swept
 
 Array = NDArray[Any]
 
 _COORDINATE_PIECE = 65_536
 
 
-def layout_of(scenes: Scenes) -> Layout:
+def layout_of(scenes: Swept) -> Layout:
     """What the result file holds."""
-    case = scenes.loaded.case
-    assert case.sweep is not None
     coordinates = _coordinate_types(scenes)
     columns: list[tuple[str, Any]] = [*coordinates.items()]
-    columns += [("status", "i1"), *((name, "f8") for name in COLUMNS)]
+    columns += [("status", "i1"), *((name, "f8") for name in scenes.columns)]
     columns += [("reason", f"S{REASON_LENGTH}")]
-    quantities = scenes.scene(0).plan.quantities if case.sweep.store == "samples" else ()
     swept = {
         name: PARAMETER.get(name) or Quantity(name, "", "", f"swept value {name}")
         for name in coordinates
@@ -36,14 +33,14 @@ def layout_of(scenes: Scenes) -> Layout:
         scenes.space.size,
         scenes.samples,
         np.dtype(columns),
-        quantities,
+        scenes.quantities,
         scenes.common_times,
         tuple(coordinates),
-        {**swept, **STATUS, **COLUMNS},
+        {**swept, **STATUS, **scenes.columns},
     )
 
 
-def _coordinate_types(scenes: Scenes) -> dict[str, Any]:
+def _coordinate_types(scenes: Swept) -> dict[str, Any]:
     """Columns of the swept values and their types; vectors one column per component."""
     types: dict[str, Any] = {}
     for _, column in scenes.space.columns:
@@ -66,7 +63,7 @@ def _word(value: Any) -> bytes:
     return text.encode("ascii", "backslashreplace")
 
 
-def coordinates_of(scenes: Scenes, index: Array) -> dict[str, Array]:
+def coordinates_of(scenes: Swept, index: Array) -> dict[str, Array]:
     """Swept values of some trajectories as columns."""
     columns: dict[str, Array] = {}
     by_key = {column.key: column for _, column in scenes.space.columns}
@@ -82,7 +79,7 @@ def coordinates_of(scenes: Scenes, index: Array) -> dict[str, Array]:
     return columns
 
 
-def scales_of(scenes: Scenes, layout: Layout) -> Iterator[tuple[int, dict[str, Array]]]:
+def scales_of(scenes: Swept, layout: Layout) -> Iterator[tuple[int, dict[str, Array]]]:
     """The scales of the file in pieces."""
     for first in range(0, layout.size, _COORDINATE_PIECE):
         index = np.arange(first, min(first + _COORDINATE_PIECE, layout.size))

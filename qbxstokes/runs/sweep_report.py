@@ -6,12 +6,12 @@ from typing import Any
 
 from qbxstokes.case.space import column_name
 from qbxstokes.io.sweep import Layout
+from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.report import Rows, counted, duration, quantity, render, size
-from qbxstokes.runs.scenes import Scenes
 
 
-def _axes(scenes: Scenes) -> Rows:
+def _axes(scenes: Swept) -> Rows:
     for axis in scenes.space.axes:
         names = ", ".join(column_name(column.key) for column in axis.columns)
         yield names, f"{counted(axis.size, 'value')}{_range(axis.columns[0])}"
@@ -26,25 +26,15 @@ def _range(column: Any) -> str:
     return ""
 
 
-def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:
+def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:
     """What will run, how many, memory, disk and time."""
-    sizes = scenes.block_sizes()
-    stored = ", ".join(layout.quantities) if layout.quantities else "the table of summaries alone"
-    count = counted(scenes.space.size, "trajectory", "trajectories")
-    shape = " x ".join(str(n) for n in scenes.space.shape)
-    bodies = len(scenes.bodies[1])
     return (
         render(
             f"Sweep: {scenes.loaded.case.title or scenes.loaded.path.stem}",
             str(scenes.loaded.path),
             {
                 "Varies": list(_axes(scenes)),
-                "Runs": [
-                    ("trajectories", f"{count} ({shape})"),
-                    ("scenes", f"{scenes.size}, with {counted(bodies, 'operator')} to form"),
-                    ("blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"),
-                    ("samples", f"{scenes.samples} each; stored: {stored}"),
-                ],
+                "Runs": _runs(scenes, layout, estimate),
                 "Skips": [("", f"- {text}") for text in scenes.skips],
                 "Needs": [
                     ("memory", f"about {size(estimate.memory)} on each rank"),
@@ -62,10 +52,31 @@ def plan_text(scenes: Scenes, layout: Layout, estimate: Estimate, target: Any, r
     )
 
 
-def summary_text(scenes: Scenes, summary: dict[str, Any]) -> str:
+def _runs(scenes: Swept, layout: Layout, estimate: Estimate) -> Rows:
+    """How many, in which parts, and what is kept of them."""
+    shape = " x ".join(str(n) for n in scenes.space.shape)
+    yield scenes.nouns[1], f"{counted(scenes.space.size, *scenes.nouns)} ({shape})"
+    if scenes.turns > 1:
+        yield "measured", f"each alone, once to warm up and {scenes.turns - 1} times"
+    elif not scenes.alone:
+        sizes = scenes.block_sizes()
+        yield "scenes", f"{scenes.size}, with {counted(estimate.bodies, 'operator')} to form"
+        yield "blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"
+    stored = ", ".join(layout.quantities) if layout.quantities else "the table of summaries alone"
+    yield "samples", f"{scenes.samples} each; stored: {stored}"
+
+
+def summary_text(scenes: Swept, summary: dict[str, Any]) -> str:
     """What was computed, how fast, and where it is."""
     wall = summary["wall_time"]
     rates = summary["rhs_evaluations"] / wall if wall > 0 else 0.0
+    evaluated = f"{summary['rhs_evaluations']:.4g}, {rates:.3g} per second"
+    done = f"{summary['done']} done, {summary['failed']} failed"
+    if scenes.alone:
+        done += ", each alone"
+    else:
+        parts = counted(summary["blocks"], "block"), counted(summary["scenes"], "scene")
+        done += ", in {} of {}".format(*parts)
     times = summary["wall_times"]
     spent = ", ".join(f"{name} {duration(value)}" for name, value in times.items())
     return render(
@@ -74,13 +85,8 @@ def summary_text(scenes: Scenes, summary: dict[str, Any]) -> str:
         {
             "Varies": list(_axes(scenes)),
             "Solved": [
-                (
-                    "trajectories",
-                    f"{summary['done']} done, {summary['failed']} failed, "
-                    f"in {counted(summary['blocks'], 'block')} of "
-                    f"{counted(summary['scenes'], 'scene')}",
-                ),
-                ("right-hand sides", f"{summary['rhs_evaluations']:.4g}, {rates:.3g} per second"),
+                (scenes.nouns[1], done),
+                *([("right-hand sides", evaluated)] if summary["rhs_evaluations"] else []),
             ],
             "Times": [
                 ("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}"),

@@ -21,10 +21,12 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.quantities import MOTION
 from qbxstokes.runs import block, handout
+from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.interrupt import Interruption, interrupted
+from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.progress import Progress
 from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep_layout import coordinates_of
@@ -69,7 +71,7 @@ class Todo:
             self.totals[name] = self.totals.get(name, 0.0) + value
 
 
-def todo_of(scenes: Scenes, work: Work, base: Todo | None) -> Todo:
+def todo_of(scenes: Swept, work: Work, base: Todo | None) -> Todo:
     """What is left to do of a sweep, by the parts of earlier runs.
 
     base: what a finished result leaves to do, where failures of it are mended.
@@ -95,15 +97,18 @@ class Models:
 
 
 def form_models(
-    comm: Any, scenes: Scenes, todo: Todo, counters: HandOut, no_cache: bool, speak: bool
+    comm: Any, scenes: Swept, todo: Todo, counters: HandOut, no_cache: bool, speak: bool
 ) -> Models:
     """Form the bodies that this run needs, each by whichever rank is free, known to all.
 
     speak: whether to say on standard error how far it is, where it takes more than a moment. A
     body that cannot be formed is noted with the error, which its trajectories then report.
+    Trajectories that are computed alone form their own.
     """
     from qbxstokes.petsc import session
 
+    if not isinstance(scenes, Scenes) or scenes.alone:
+        return Models(SharedCache(None), {})
     bodies, representatives = scenes.bodies
     needed = sorted({int(bodies[s]) for number in todo.numbers for s in scenes.scenes_of(number)})
     # Options of the solver want to be seen at work.
@@ -156,7 +161,7 @@ class Team:
 
 def work_on_blocks(
     team: Team,
-    scenes: Scenes,
+    scenes: Swept,
     layout: Layout,
     models: Models,
     gathering: Gathering,
@@ -165,11 +170,15 @@ def work_on_blocks(
     """Compute blocks until none is left; raises Interrupted after what there is was made safe."""
     order, cost = _order(scenes, team.todo, gathering.work)
     counters, total = team.counters, float(cost.sum()) or 1.0
-    computer = _Computer(scenes, layout, models, team, gathering)
+    computer: _Together | _Alone = _Alone(scenes, layout, team)
+    if isinstance(scenes, Scenes) and not scenes.alone:
+        computer = _Together(scenes, layout, models, team, gathering)
     while (place := counters.next(handout.BLOCKS)) < len(order):
         number = order[place]
         with clock.part("blocks"):
-            rows, note = computer.compute(number, team.todo.mend.get(number))
+            mended = team.todo.mend.get(number)
+            computed = computer.compute(number, mended)
+            rows, note = computed.rows(scenes, layout), computed.note(number, mended)
         if team.interruption.asked():
             gathering.save()
             raise interrupted(gathering.work.folder, team.interruption.signal)
@@ -182,7 +191,7 @@ def work_on_blocks(
         team.poke()
 
 
-def _order(scenes: Scenes, todo: Todo, work: Work) -> tuple[list[int], Array]:
+def _order(scenes: Swept, todo: Todo, work: Work) -> tuple[list[int], Array]:
     """Blocks in the order of handing out, and what each costs.
 
     Those first that an earlier run was at work on, then the costliest, so that ranks end together.
@@ -199,7 +208,70 @@ def _order(scenes: Scenes, todo: Todo, work: Work) -> tuple[list[int], Array]:
     return [numbers[i] for i in order], cost[order]
 
 
-class _Computer:
+@dataclass
+class _Computed:
+    """What was computed of the trajectories `index` of a block, of which the last were lost."""
+
+    index: Array
+    result: block.BlockResult
+    lost: dict[int, str]
+
+    def __post_init__(self) -> None:
+        self.well = len(self.index) - len(self.lost)
+        for i, reason in enumerate(self.lost.values()):
+            self.result.failed[self.well + i] = reason
+
+    def note(self, number: int, only: list[int] | None) -> dict[str, Any]:
+        """What is noted of the block. only: trajectories that were to be mended, None for all."""
+        result = self.result
+        return {
+            "block": number,
+            "mended": [] if only is None else self.index.tolist(),
+            "failed": {str(self.index[i]): reason for i, reason in result.failed.items()},
+            "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
+        }
+
+    def rows(self, scenes: Swept, layout: Layout) -> dict[str, Array]:
+        """The rows of the file."""
+        n, well, result = len(self.index), self.well, self.result
+        table = np.zeros(n, dtype=layout.dtype)
+        for name in layout.dtype.names or ():
+            if layout.dtype[name].kind == "f":
+                table[name] = np.nan
+                table[name][:well] = result.summary.get(name, np.nan)
+        for name, column in coordinates_of(scenes, self.index).items():
+            table[name] = column
+        table["status"] = DONE
+        for i, reason in result.failed.items():
+            table["status"][i] = FAILED
+            table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
+        rows: dict[str, Array] = {"index": self.index, "table": table}
+        for name in layout.quantities:
+            rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
+            rows[name][:well] = result.quantities[name]
+        if layout.quantities and layout.times is None:
+            rows["time"] = np.tile(result.times, (n, 1))
+        return rows
+
+
+class _Alone:
+    """Computes trajectories or bodies one by one, each for itself."""
+
+    def __init__(self, scenes: Swept, layout: Layout, team: Team) -> None:
+        self._scenes, self._layout = scenes, layout
+        self._measurer = Measurer(scenes, team.poke)
+
+    def compute(self, number: int, only: list[int] | None) -> _Computed:
+        """The one trajectory of a block."""
+        scenes, layout = self._scenes, self._layout
+        index = scenes.block(number).index
+        times = np.full(layout.samples, np.nan)
+        result = block.empty_result(1, scenes.columns, layout.quantities, times)
+        self._measurer.measure(int(index[0]), result)
+        return _Computed(index, result, {})
+
+
+class _Together:
     """Computes blocks, keeping the bodies at hand from one to the next."""
 
     def __init__(
@@ -211,13 +283,8 @@ class _Computer:
         self._body, _ = scenes.bodies
         self._bodies: dict[int, Body] = {}
 
-    def compute(
-        self, number: int, only: list[int] | None
-    ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Rows of the file, and what is noted of the block.
-
-        only: the trajectories that are to be mended, None for all.
-        """
+    def compute(self, number: int, only: list[int] | None) -> _Computed:
+        """A block, or the trajectories in it that are to be mended."""
         scenes, layout = self._scenes, self._layout
         sweep = scenes.loaded.case.sweep
         assert sweep is not None
@@ -247,39 +314,7 @@ class _Computer:
             self._team.poke,
             safe,
         )
-        well = len(index) - len(lost)
-        result.failed |= {well + i: reason for i, reason in enumerate(lost.values())}
-        note = {
-            "block": number,
-            "mended": [] if only is None else index.tolist(),
-            "failed": {str(index[i]): reason for i, reason in result.failed.items()},
-            "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
-        }
-        return self._rows(index, well, times, result), note
-
-    def _rows(
-        self, index: Array, well: int, times: Array, result: block.BlockResult
-    ) -> dict[str, Array]:
-        """The rows of the trajectories `index`, of which the first `well` were computed."""
-        layout, n = self._layout, len(index)
-        table = np.zeros(n, dtype=layout.dtype)
-        for name in layout.dtype.names or ():
-            if layout.dtype[name].kind == "f":
-                table[name] = np.nan
-                table[name][:well] = result.summary.get(name, np.nan)
-        for name, column in coordinates_of(self._scenes, index).items():
-            table[name] = column
-        table["status"] = DONE
-        for i, reason in result.failed.items():
-            table["status"][i] = FAILED
-            table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
-        rows: dict[str, Array] = {"index": index, "table": table}
-        for name in layout.quantities:
-            rows[name] = np.full((n, layout.samples, *MOTION[name].shape), np.nan)
-            rows[name][:well] = result.quantities[name]
-        if layout.quantities and layout.times is None:
-            rows["time"] = np.tile(times, (n, 1))
-        return rows
+        return _Computed(index, result, lost)
 
     def _simulation(self, number: int, index: Array) -> Simulation:
         """Some trajectories of a scene as the lanes of a simulation."""

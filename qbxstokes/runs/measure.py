@@ -1,0 +1,175 @@
+"""One trajectory or body alone: computed once to warm up, then measured; its error and its cost.
+
+What is measured is what a single motion does: its equations and its integrator, without what other
+trajectories could share and without a cache. Without repeats (`task: body`) the first time counts.
+A rank measures a body's set-up once, for the first trajectory that has this body.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import ConvergenceError, QbxStokesError
+from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
+from qbxstokes.quantities import BODY, MOTION
+from qbxstokes.runs.block import BlockResult, summarise
+from qbxstokes.runs.body import nodes_of, plan_body
+from qbxstokes.runs.plan import make_plan
+from qbxstokes.runs.scenes import case_at
+from qbxstokes.simulation.assembly import assemble
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.compare import Comparison, compare_samples
+from qbxstokes.simulation.from_case import body_of, simulation_of, start_of
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.law import Law, form_law
+from qbxstokes.simulation.simulation import Simulation
+
+# Columns of a body that its report holds.
+REPORTED = (
+    *("error_estimate", "iterations", "true_residual"),
+    *("n_theta", "n_phi", "expansion_order"),
+)
+
+
+class Stopped(Exception):
+    """A signal has asked to stop: nothing of this trajectory is kept."""
+
+
+class Stopwatch:
+    """Spans of time by name, one for each turn; the first is left out where there are more."""
+
+    def __init__(self) -> None:
+        self._spans: dict[str, list[float]] = {}
+
+    def timed(self, name: str, action: Callable[[], Any]) -> Any:
+        """What the action returns."""
+        begin = time.perf_counter()
+        result = action()
+        self._spans.setdefault(name, []).append(time.perf_counter() - begin)
+        return result
+
+    def median(self, name: str) -> float:
+        """The median of the spans of a name, in seconds."""
+        spans = self._spans[name]
+        return median(spans[1:] or spans)
+
+
+class Measurer:
+    """Measures the trajectories or bodies of a sweep.
+
+    scenes: `Scenes` or `BodyScenes`. poke: called between the steps and the turns, says whether to
+    stop.
+    """
+
+    def __init__(self, scenes: Any, poke: Callable[[], bool]) -> None:
+        self._scenes, self._poke = scenes, poke
+        self._known: dict[str, tuple[Body, float]] = {}  # with the time that their set-up takes
+
+    def measure(self, number: int, result: BlockResult) -> None:
+        """Fill in the results of the trajectory or body of this number, or why it has none."""
+        scenes = self._scenes
+        try:
+            points = np.unravel_index(number, scenes.space.shape)
+            loaded = case_at(scenes.loaded, [int(point) for point in points])
+            swept = [str(c.key[1]) for _, c in scenes.space.columns if c.key[0] == "petsc"]
+            with own_options({name: loaded.case.petsc[name] for name in swept}):
+                if loaded.case.task == "body":
+                    found = self._body(loaded)
+                else:
+                    found = self._motion(loaded, result)
+        except Stopped:
+            return
+        except (QbxStokesError, ArithmeticError) as error:
+            result.failed[0] = " ".join(str(error).split())
+            return
+        for name, value in found.items():
+            result.summary[name][:] = value
+        limit = loaded.case.compare.tolerance
+        if limit is not None and found["error"] > limit:
+            result.failed[0] = f"error {found['error']:.1e} exceeds compare.tolerance {limit:g}"
+
+    def _body(self, loaded: LoadedCase) -> dict[str, float]:
+        """The columns of a body."""
+        plan, watch = plan_body(loaded), Stopwatch()
+        for _ in range(self._scenes.turns):
+            scene = start_of(loaded)
+            formed = watch.timed("setup", partial(form_law, scene, plan.in_flow, Workshop()))
+            if self._poke():
+                raise Stopped
+        law = Law(scene, formed, plan.in_flow)
+        arrays = law.arrays
+        resistance = vars(formed.model.resistance)
+        found = {f"resistance_{name}": value for name, value in resistance.items()}
+        for name, values in arrays.items():
+            if len(BODY[name].shape) < 2:
+                columns = [column.name for column in BODY[name].columns()]
+                found |= dict(zip(columns, np.ravel(values).tolist(), strict=True))
+        report = formed.report()
+        found |= {name: float(report[name]) for name in REPORTED}
+        return found | {
+            "error": _error(loaded, lambda: law.errors(arrays)),
+            "setup_time": watch.median("setup"),
+            "nodes": float(nodes_of(report)),
+        }
+
+    def _motion(self, loaded: LoadedCase, result: BlockResult) -> dict[str, float]:
+        """Integrate, fill in samples and averages; returns the measured columns."""
+        plan, watch, turns = make_plan(loaded), Stopwatch(), self._scenes.turns
+        result.times = times = plan.times
+        key = _body_key(loaded, plan.simulation)
+        known, setup = self._known.get(key, (None, None))
+
+        def form(part: Simulation, workshop: Workshop) -> Hydrodynamic:
+            need = part.need()
+            ask = partial(part.body.hydrodynamics_in, part.flow, need, workshop)
+            return watch.timed("setup", ask)
+
+        for _ in range(turns):
+            body = known or body_of(loaded)
+            assembled = assemble([simulation_of(loaded, body)], checked=True, maker=form)
+            go = partial(assembled.trajectory, times, interrupted=self._poke)
+            trajectory = watch.timed("motion", go)
+            if not trajectory.finished:
+                raise Stopped
+        if not np.isfinite(trajectory.states).all():
+            raise ConvergenceError("the state is not finite")
+        setup = setup or watch.median("setup")
+        if plan.simulation.kind == "table":
+            self._known[key] = body, setup
+        result.steps, result.evaluations = turns * trajectory.steps, turns * trajectory.evaluations
+        samples = assembled.observe(times, trajectory.states, tuple(MOTION))
+        discard = self._scenes.loaded.case.sweep.discard
+        end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
+        summarise(result, assembled, end, trajectory.states, samples, row, discard)
+        alone = {name: array[:, 0] for name, array in samples.items()}
+        return {
+            "wall_time": watch.median("motion"),
+            "setup_time": setup,
+            "rejected": float(trajectory.rejections),
+            "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),
+            "error": _error(loaded, lambda: compare_samples(assembled, times, alone)),
+        }
+
+
+def _body_key(loaded: LoadedCase, scene: Simulation) -> str:
+    """What the bodies of two trajectories have in common if one can stand for the other."""
+    case = loaded.case
+    options = {k: value for k, value in case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
+    alike = [case.body.aspect_ratio, case.hydrodynamics.model_dump(), options]
+    return json.dumps([*alike, loaded.flow.degree, scene.need().completion], sort_keys=True)
+
+
+def _error(loaded: LoadedCase, compared: Callable[[], Comparison]) -> float:
+    """The largest error; NaN where nothing is known to compare with, or none is wanted."""
+    if loaded.case.compare.reference == "none":
+        return np.nan
+    comparison = compared()
+    return comparison.largest if comparison.errors else np.nan
