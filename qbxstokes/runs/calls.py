@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import json
 import tempfile
 from collections.abc import Mapping
@@ -138,11 +139,8 @@ def sweep(
 def _scratch() -> str:
     """A folder that lives as long as this process."""
     holder = tempfile.TemporaryDirectory(prefix="qbxstokes-")
-    _KEPT.append(holder)
+    atexit.register(holder.cleanup)
     return holder.name
-
-
-_KEPT: list[Any] = []  # what would be deleted with the last reference to it
 
 
 class _OwnOptions:
