@@ -228,7 +228,7 @@ def test_solve_functional_and_table_agree():
         assert np.allclose(a, c, rtol=1e-8)
 
 
-@pytest.mark.parametrize("k", [0.1, 4.0])
+@pytest.mark.parametrize("k", [pytest.param(0.1, marks=pytest.mark.slow), 4.0])
 def test_every_skip_changes_no_more_than_rounding(k):
     for name, full, short in script("benchmarks/skips").skips(k):
         before, after = full(), short()

@@ -94,7 +94,7 @@ def test_a_dry_run_does_not_wait_for_the_other_ranks(
     assert os.listdir(tmp_path) == ["case.yaml"]
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_number_of_ranks_gives_the_same_bits(
     whole: dict[str, bytes], mpirun: Callable[..., Any], tmp_path: Path, ranks: int
 ) -> None:

@@ -156,20 +156,21 @@ def field_bytes(path: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "case", [CASE | {"field": CASE["field"] | {"check": 12}}, MOTION], ids=["field", "motion"]
 )
-def test_ranks_give_the_same_field(case, write_case, run_cli, mpirun, tmp_path):
+def test_ranks_give_the_same_field(case, ranks, write_case, run_cli, mpirun, tmp_path):
     path = write_case(case)
     summaries = []
-    for ranks in (1, 3):
-        options = ("--json", "--set", f"output.file={ranks}.h5")
-        done = mpirun(ranks, path, *options) if ranks > 1 else run_cli(path, *options)
+    for name in ("one", "several"):
+        options = (path, "--json", "--set", f"output.file={name}.h5")
+        done = run_cli(*options) if name == "one" else mpirun(ranks, *options)
         assert done.returncode == 0, done.stderr
         summary = json.loads(done.stdout)
         summaries.append(summary.get("field", summary))
-    one, three = (field_bytes(tmp_path / f"{ranks}.h5") for ranks in (1, 3))
-    assert one == three
+    one, several = (field_bytes(tmp_path / f"{name}.h5") for name in ("one", "several"))
+    assert one == several
     assert ("error/error" in one) == (case is not MOTION)
     for name in ("errors", "points", "hydrodynamics"):
         assert summaries[0][name] == summaries[1][name]
