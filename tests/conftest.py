@@ -101,8 +101,7 @@ def run_study(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., 
 
     def run(name: str, *figures: str) -> dict[str, float]:
         monkeypatch.chdir(tmp_path)
-        monkeypatch.syspath_prepend(str(ROOT / "cases" / "studies"))
-        found = import_module(name).main(small=True)
+        found: dict[str, float] = script(f"studies/{name}").main(small=True)
         tables = list(tmp_path.glob(f"{name}*.csv"))
         assert max(len(table.read_text().splitlines()) for table in tables) > 4
         for figure in figures or (name,):

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT, script
 
 from qbxstokes.geometry import rotation
 from qbxstokes.reference import heavy
-
-CASES = Path(__file__).resolve().parents[1] / "cases"
 
 Run = Callable[..., dict[str, float]]
 
@@ -77,16 +73,9 @@ def test_lateral_drift_depends_on_the_local_shear_rate(run_study: Run) -> None:
 # -- their averages -------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
-    """`study("motions")`: a module of the scripts."""
-    monkeypatch.syspath_prepend(str(CASES / "studies"))
-    return import_module
-
-
-def test_orientation_in_the_plane_of_shear_is_exact(study: Callable[[str], Any]) -> None:
+def test_orientation_in_the_plane_of_shear_is_exact() -> None:
     axis = np.stack([np.cos([0.3, 2.0]), np.sin([0.3, 2.0]), [0.0, 0.0]], axis=-1)
-    q = study("motions").axes(axis)
+    q = script("studies/motions").axes(axis)
     assert np.allclose(rotation.axis(q), axis, atol=1e-15)
     assert np.array_equal(q[:, 0], q[:, 1])
     assert np.array_equal(q[:, 2], q[:, 3])
@@ -102,16 +91,12 @@ def test_orientation_in_the_plane_of_shear_is_exact(study: Callable[[str], Any])
         (0.0, 0.0, "0"),
     ],
 )
-def test_one_digit_of_the_uncertainty_is_shown(
-    value: float, error: float, text: str, study: Callable[[str], Any]
-) -> None:
-    assert study("motions").shown(value, error) == text
+def test_one_digit_of_the_uncertainty_is_shown(value: float, error: float, text: str) -> None:
+    assert script("studies/motions").shown(value, error) == text
 
 
-def test_measured_rates_are_those_of_the_theory_within_the_uncertainty(
-    study: Callable[[str], Any],
-) -> None:
-    k, stokes, motions = 2.0, [1.0, 2.0], study("motions")
+def test_measured_rates_are_those_of_the_theory_within_the_uncertainty() -> None:
+    k, stokes, motions = 2.0, [1.0, 2.0], script("studies/motions")
     bodies, tumbling = motions.body(k, stokes), motions.orbit(k, math.inf)
     found = motions.averages(bodies, motions.paraboloid(32.0), tumbling, 4, (0.0, 32.0, 0.0))
     rates = [heavy.mean_rotation_rate(k, st) for st in stokes]
@@ -125,19 +110,17 @@ def test_measured_rates_are_those_of_the_theory_within_the_uncertainty(
 
 
 @pytest.mark.parametrize(("k", "inertia"), [(1.0, "both"), (0.5, "rotation")])
-def test_no_drift_of_spheres_and_without_inertia_of_translation(
-    k: float, inertia: str, study: Callable[[str], Any]
-) -> None:
-    motions = study("motions")
+def test_no_drift_of_spheres_and_without_inertia_of_translation(k: float, inertia: str) -> None:
+    motions = script("studies/motions")
     bodies, flow = motions.body(k, [5.0], inertia), motions.paraboloid(4.0)
     found = motions.averages(bodies, flow, motions.orbit(k, 1.0), 2, (0.0, 4.0, 0.0))
     assert np.abs(found["velocity"][0][:, 1]).max() < 1e-12
 
 
-def test_drift_near_the_axis_is_that_of_the_local_shear_rate(study: Callable[[str], Any]) -> None:
+def test_drift_near_the_axis_is_that_of_the_local_shear_rate() -> None:
     """One length off the axis the body gains a fifth of its shear rate while it is watched."""
-    found = study("common").Table("found", "")
-    study("lateral_drift").run(2.0, [10.0], "both", 1.0, found)
+    found = script("studies/common").Table("found", "")
+    script("studies/lateral_drift").run(2.0, [10.0], "both", 1.0, found)
     (row,) = found.rows
     assert row["local_rate"] > 1.1
     at_start = heavy.drift(2.0, 10.0)
@@ -146,27 +129,24 @@ def test_drift_near_the_axis_is_that_of_the_local_shear_rate(study: Callable[[st
 
 
 @pytest.mark.parametrize(("k", "lag"), [(0.2, 1.0), (0.5, 10.0), (2.0, 0.5)])
-def test_measured_orbit_drift_is_the_exact_exponent(
-    k: float, lag: float, study: Callable[[str], Any]
-) -> None:
-    found = study("common").Table("found", "")
-    study("orbit_drift").run(k, [lag * heavy.relaxation_rates(k)[2]], found)
+def test_measured_orbit_drift_is_the_exact_exponent(k: float, lag: float) -> None:
+    found = script("studies/common").Table("found", "")
+    script("studies/orbit_drift").run(k, [lag * heavy.relaxation_rates(k)[2]], found)
     assert {row["orbit"] for row in found.rows} >= {"rolling"}
     for row in found.rows:
         if row["orbit"] != "C = 1":
             assert row["rate"] == pytest.approx(row["theory"], rel=2e-3)
 
 
-def test_heavy_flat_bodies_are_not_followed_near_rolling(study: Callable[[str], Any]) -> None:
-    found = study("common").Table("found", "")
-    study("orbit_drift").run(5.0, [10.0 * heavy.relaxation_rates(5.0)[2]], found)
+def test_heavy_flat_bodies_are_not_followed_near_rolling() -> None:
+    found = script("studies/common").Table("found", "")
+    script("studies/orbit_drift").run(5.0, [10.0 * heavy.relaxation_rates(5.0)[2]], found)
     assert all(row["orbit"] != "rolling" for row in found.rows)
 
 
 def test_scripts_are_listed_and_say_how_to_run_them() -> None:
-    page = (CASES / "README.md").read_text()
-    shared = ("common", "motions")
-    scripts = [p for p in (CASES / "studies").glob("*.py") if p.stem not in shared]
-    for script in (p for p in scripts if not p.stem.startswith("qbx_")):
-        assert f"(studies/{script.name})" in page
-        assert f"Run:      python cases/studies/{script.name}" in script.read_text()
+    page = (ROOT / "cases" / "README.md").read_text()
+    for path in (ROOT / "cases" / "studies").glob("[!q]*.py"):
+        if path.stem not in ("common", "motions"):
+            assert f"(studies/{path.name})" in page
+            assert f"Run:      python cases/studies/{path.name}" in path.read_text()

@@ -90,8 +90,8 @@ def main(small: bool = False) -> dict[str, float]:
     """Run, print, write and draw; the largest differences from theory."""
     distances = (4.0, 16.0) if small else (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     constants = [1.0, math.inf] if small else [0.3, 1.0, 3.0, 10.0, math.inf]
-    places = Table("lateral_drift_distance", "drift: K c^2; theory: at the mean local shear rate")
-    orbits = Table("lateral_drift_orbits", "drift and mean velocity along the vorticity over K St")
+    places = Table("lateral_drift_places_distance", "drift: K c^2; theory: at the mean shear rate")
+    orbits = Table("lateral_drift_places_orbits", "drift, and that along the vorticity, over K St")
     for k, light in RUNS[::2]:
         for distance in distances:
             run(k, [light, 10.0 * light], "both", distance, places)

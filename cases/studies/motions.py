@@ -142,6 +142,8 @@ def shown(value: float, error: float) -> str:
     digit = math.ceil(error / 10.0 ** (exponent - places) - 1e-9)
     if digit == 10 and places > 0:
         places, digit = places - 1, 1
+    if abs(round(value / 10.0**exponent, places)) >= 10.0:
+        exponent, places = exponent + 1, places + 1
     return f"{value / 10.0**exponent:.{places}f}({max(digit, 1)})e{exponent}"
 
 

@@ -118,10 +118,12 @@ def main(small: bool = False) -> dict[str, float]:
                 in_plane(k, st, curved_inertia)
     for table in tables:
         table.write()
-    for table, names in ((shear, ("period", "axis", "change")), (curved, ("velocity", "axis"))):
-        worst = {k: table.where(aspect_ratio=k) for k in np.unique(table["aspect_ratio"]).tolist()}
-        common.markdown(("k", *names), [(f"{k:g}", *(power(rows[n].max()) for n in names))
-                                        for k, rows in worst.items()])  # fmt: skip
+    for table, *names in ((shear, "period", "axis", "change"), (curved, "velocity", "axis")):
+        rows = [
+            (f"{k:g}", *(power(table.where(aspect_ratio=k)[name].max()) for name in names))
+            for k in np.unique(table["aspect_ratio"]).tolist()
+        ]
+        common.markdown(("k", *(name.replace("change", "orbit constant") for name in names)), rows)
     cross(shear_inertia, lambda row: power(row["axis"]))
     cross(curved_inertia, lambda row: f"{power(row['axis'])} / {power(row['across'])}")
     draw(shear, shear_inertia)
