@@ -118,7 +118,7 @@ def main(small: bool = False) -> dict[str, float]:
     table = Table("acceleration", "times over 1/shear rate; ratio: over St inertia/R at the start")
     printed = []
     for k in (0.5,) if small else (0.2, 0.5, 1.0, 2.0, 5.0):
-        for (st,) in groups([0.1, 100.0] if small else np.geomspace(0.1, 1000.0, 9), 1.0):
+        for (st,) in groups([0.1, 100.0] if small else np.geomspace(0.1, 1000.0, 9), 1):
             run(k, st, table)
         printed.append([f"{k:g}", *(f"{1.0 / rate:.4g}" for rate in heavy.relaxation_rates(k)),
                         *(spread(table.where(aspect_ratio=k, motion=motion, start=start))

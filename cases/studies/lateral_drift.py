@@ -107,7 +107,7 @@ def main(small: bool = False) -> dict[str, float]:
     turning = Table("lateral_drift_rotation", drift.about)
     for k in (0.5, 1.0, 2.0) if small else (0.1, 0.2, 0.5, 0.8, 1.0, 1.25, 2.0, 5.0):
         for inertia in ("both", "translation"):
-            for group in groups(stokes_numbers, 4.0):
+            for group in groups(stokes_numbers, 1 if small else 2):
                 run(k, group, inertia, FAR, drift)
         run(k, [10.0] if small else [1.0, 10.0], "rotation", FAR, turning)
         if k != 1.0:

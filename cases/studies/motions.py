@@ -115,18 +115,10 @@ def averages(
     }
 
 
-def groups(stokes_numbers: ArrayLike, width: float) -> list[list[float]]:
-    """Stokes numbers, to four digits, in increasing groups of like cost: within a factor `width`.
-
-    Each group is integrated together, a lane each.
-    """
-    found: list[list[float]] = []
-    for value in sorted(float(f"{st:.4g}") for st in np.asarray(stokes_numbers).tolist()):
-        if found and value <= width * found[-1][0] * (1.0 + 1e-9):
-            found[-1].append(value)
-        else:
-            found.append([value])
-    return found
+def groups(stokes_numbers: Iterable[float], size: int) -> list[list[float]]:
+    """Increasing Stokes numbers, to four digits, in groups that are integrated together."""
+    rounded = [float(f"{st:.4g}") for st in stokes_numbers]
+    return [rounded[i : i + size] for i in range(0, len(rounded), size)]
 
 
 # -- in print -------------------------------------------------------------------------------------

@@ -156,7 +156,7 @@ def main(small: bool = False) -> dict[str, float]:
     )
     head, printed = ["k", "St"], []
     for k in ratios:
-        for group in groups(lags * heavy.relaxation_rates(k)[2], 2.5):
+        for group in groups(lags * heavy.relaxation_rates(k)[2], 1 if small else 2):
             run(k, group, rates)
         cells = [f"{k:g}", f"{rates.where(aspect_ratio=k)['stokes_number'][0]:.3g}"]
         for where in ("rolling", "C = 1", "tumbling"):

@@ -126,7 +126,7 @@ def main(small: bool = False) -> dict[str, float]:
     rates = Table("rotation_rate", "rates over the shear rate; lag: St J1/R1")
     transitions = Table("rotation_rate_transition", "St of the transition; lag: St J1/R1 there")
     for k in (0.5, 5.0) if small else (0.1, 0.2, 0.5, 2.0, 5.0, 10.0):
-        for group in groups(lags * heavy.relaxation_rates(k)[2], 10.0):
+        for group in groups(lags * heavy.relaxation_rates(k)[2], 2 if small else 4):
             run(k, group, rates)
         transitions.add(**transition(k, rates.where(aspect_ratio=k)))
     rates.write()

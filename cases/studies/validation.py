@@ -23,7 +23,6 @@ from common import Table, power
 from motions import SHEAR, axes, body, cross, labelled, orbit, paraboloid
 
 import qbxstokes as qs
-from qbxstokes.geometry import rotation
 from qbxstokes.plots import style
 from qbxstokes.reference import chwang, heavy, inertial, jeffery
 
@@ -41,15 +40,10 @@ def run(k: float, stokes: float, distance: float, start: Any, periods: int) -> q
 
 def orbits(k: float, constants: list[float], found: Table) -> None:
     """Massless bodies in shear, three periods."""
-    start, period = orbit(k, constants, 0.3), jeffery.period(k)
-    motion = run(k, 0.0, 0.0, start, 3)
-    for constant, first, axis in zip(constants, rotation.axis(start), motion.axis, strict=True):
-        turn = np.unwrap(np.arctan2(axis[:, 1], k * axis[:, 0]))
-        measured = 2.0 * math.pi * motion.time[-1] / abs(turn[-1] - turn[0])
-        change = jeffery.orbit_constant(k, axis) / jeffery.orbit_constant(k, axis[0]) - 1.0
-        distance = np.linalg.norm(axis - jeffery.axis_at(motion.time, k, first), axis=-1)
-        found.add(aspect_ratio=k, orbit_constant=constant, period=abs(measured / period - 1.0),
-                  axis=distance.max(), change=np.abs(change).max())  # fmt: skip
+    for constant, start in zip(constants, orbit(k, constants, 0.3), strict=True):
+        errors = run(k, 0.0, 0.0, start, 3).errors()
+        errors = {name: errors[name] for name in ("period", "axis", "orbit_constant_drift")}
+        found.add(aspect_ratio=k, orbit_constant=constant, **errors)
 
 
 def drifting(k: float, distance: float, found: Table) -> None:
@@ -118,18 +112,21 @@ def main(small: bool = False) -> dict[str, float]:
                 in_plane(k, st, curved_inertia)
     for table in tables:
         table.write()
-    for table, *names in ((shear, "period", "axis", "change"), (curved, "velocity", "axis")):
+    for table in (shear, curved):
+        names = list(table.rows[0])[2:]
         rows = [
             (f"{k:g}", *(power(table.where(aspect_ratio=k)[name].max()) for name in names))
             for k in np.unique(table["aspect_ratio"]).tolist()
         ]
-        common.markdown(("k", *(name.replace("change", "orbit constant") for name in names)), rows)
+        common.markdown(("k", *(name.replace("_", " ") for name in names)), rows)
     cross(shear_inertia, lambda row: power(row["axis"]))
     cross(curved_inertia, lambda row: f"{power(row['axis'])} / {power(row['across'])}")
     draw(shear, shear_inertia)
-    return {f"{table.name}, {name}": table[name].max() for table in tables
-            for name in table.rows[0] if name not in ("aspect_ratio", "orbit_constant",
-                                                      "stokes_number", "distance")}  # fmt: skip
+    return {
+        f"{table.name}, {name}": table[name].max()
+        for table in tables
+        for name in list(table.rows[0])[2:]
+    }
 
 
 if __name__ == "__main__":
