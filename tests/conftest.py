@@ -92,6 +92,26 @@ def _run(command: Sequence[str], cwd: Path, timeout: float) -> subprocess.Comple
     )
 
 
+@pytest.fixture
+def run_study(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., dict[str, float]]:
+    """`run_study("validation")`: the numbers of a script of cases/studies; its files must be there.
+
+    Further arguments name its figures, if they are not called as the script.
+    """
+
+    def run(name: str, *figures: str) -> dict[str, float]:
+        monkeypatch.chdir(tmp_path)
+        found: dict[str, float] = script(f"studies/{name}").main(small=True)
+        tables = list(tmp_path.glob(f"{name}*.csv"))
+        assert max(len(table.read_text().splitlines()) for table in tables) > 4
+        for figure in figures or (name,):
+            assert (tmp_path / f"{figure}.pdf").read_bytes()[:4] == b"%PDF"
+            assert (tmp_path / f"{figure}.png").stat().st_size < 150_000
+        return found
+
+    return run
+
+
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_the_tests(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest

@@ -19,16 +19,15 @@ from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.result import Result
 from qbxstokes.io.results import load
-from qbxstokes.io.tables import Column, Table
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Frames, animate
 from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
+from qbxstokes.plots.columns import figure_of
 from qbxstokes.plots.orbit import drifts
 from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.series import alike
-from qbxstokes.plots.table import figure_of, parameter_map, work_precision
 from qbxstokes.reference import jeffery
 
 Array = NDArray[np.float64]
@@ -62,13 +61,11 @@ def orbit(times: Array, theta: float = 1.0) -> dict[str, Array]:
     }
 
 
-def write(path: Path, block: dict[str, Any], tables: tuple[Table, ...] = ()) -> Path:
+def write(path: Path, block: dict[str, Any]) -> Path:
     provenance = {"resolved_case": json.dumps({"body": {"aspect_ratio": K}})}
     with ResultWriter(path, "motion", provenance, overwrite=True) as writer:
         if block:
             writer.append(block)
-        for table in tables:
-            table.write_hdf5(writer.file)
         return writer.finish({"steps": 1})
 
 
@@ -331,60 +328,61 @@ def test_cubic_between_samples_is_exact_for_a_cubic() -> None:
 # -- tables -------------------------------------------------------------------------------------
 
 
+class Columns(dict[str, Any]):
+    """Columns by name; times are in seconds."""
+
+    @property
+    def names(self) -> list[str]:
+        return list(self)
+
+    def unit(self, name: str) -> str:
+        return "s" if name == "time" else ""
+
+
 @pytest.fixture
-def work() -> Table:
-    table = Table(
-        "work",
-        "Work",
-        (Column("method"), Column("time", "s"), Column("error")),
-        plot={"x": "time", "y": ["error"], "by": "method", "scale": "loglog"},
+def work() -> Columns:
+    n = np.array([1.0, 2.0, 4.0, 8.0])
+    return Columns(
+        method=np.repeat(["first", "second"], 4),
+        time=0.1 * np.tile(n, 2),
+        error=np.concatenate([n**-1.0, n**-2.0]),
     )
-    for order, method in ((1, "first"), (2, "second")):
-        for n in (1, 2, 4, 8):
-            table.add(method=method, time=0.1 * n, error=float(n) ** -order)
-    return table
 
 
-def test_work_precision_has_a_curve_per_method(work: Table) -> None:
+def test_error_over_time_has_a_curve_per_method(work: Columns) -> None:
     with style.styled():
-        (axes,) = work_precision(work, "time", "error", "method", [-1]).axes
+        spec = {"x": "time", "y": "error", "by": "method", "scale": "loglog"}
+        (axes,) = figure_of(work, spec).axes
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     x, y = drawn(axes, "second")
     np.testing.assert_allclose(x, 0.1 * np.array([1, 2, 4, 8]))
     np.testing.assert_allclose(y, x**-2.0 / 100.0)
     assert axes.get_xlabel() == "time (s)"
     assert axes.get_ylabel() == "error"
-    guide = axes.get_lines()[-1]
-    assert np.diff(np.log(guide.get_ydata())) / np.diff(np.log(guide.get_xdata())) == (
-        pytest.approx(-1.0)
-    )
 
 
-def test_map_puts_values_in_their_cells_and_marks_the_least() -> None:
-    table = Table("m", "Map", (Column("p"), Column("r"), Column("error")))
+def test_map_puts_values_in_their_cells() -> None:
     cells = {(p, r): float(10.0 ** (-p + 3 * r)) for p in (2, 4, 8) for r in (0.1, 0.5)}
     del cells[2, 0.5]
-    for p, r in RNG.permutation(np.array(list(cells))).tolist():
-        table.add(p=int(p), r=r, error=cells[int(p), r])
+    p, r = RNG.permutation(np.array(list(cells))).T
+    error = np.array([cells[int(a), b] for a, b in zip(p, r, strict=True)])
+    spec = {"x": "p", "y": "r", "value": "error"}
     with style.styled():
-        axes = parameter_map(table, "p", "r", "error").axes[0]
+        axes = figure_of(Columns(p=p, r=r, error=error), spec).axes[0]
     (mesh,) = axes.collections
     shown = mesh.get_array().reshape(2, 3)
     assert shown.mask.sum() == 1
     assert shown[0, 2] == cells[8, 0.1]
     assert shown[1, 1] == cells[4, 0.5]
-    star = axes.get_lines()[0]
-    assert (star.get_xdata()[0], star.get_ydata()[0]) == (8, 0.1)
-    table.add(p=2, r=0.1, error=1.0)
+    twice = Columns(p=np.append(p, 2), r=np.append(r, 0.1), error=np.append(error, 1.0))
     with style.styled(), pytest.raises(CaseError, match="same p and r"):
-        parameter_map(table, "p", "r", "error")
+        figure_of(twice, spec)
 
 
 def test_texts_become_bars_and_many_curves_shades() -> None:
-    table = Table("t", "T", (Column("part"), Column("n"), Column("time", "s")))
-    for n in range(10):
-        for part in ("solve", "set-up"):
-            table.add(part=part, n=n + 1, time=float(n + len(part)))
+    n, part = np.repeat(np.arange(1, 11), 2), np.tile(["solve", "set-up"], 10)
+    time = np.array([a - 1.0 + len(b) for a, b in zip(n, part.tolist(), strict=True)])
+    table = Columns(part=part, n=n, time=time)
     with style.styled():
         (axes,) = figure_of(table, {"x": "part", "y": "time", "by": "n"}).axes
         assert len(axes.patches) == 20
@@ -403,11 +401,9 @@ def test_texts_become_bars_and_many_curves_shades() -> None:
         ({"x": "nothing", "y": "error"}, "no column 'nothing'"),
         ({"x": "time", "y": "method"}, "holds texts"),
         ({"x": "time", "y": "error", "scale": "log"}, "scale is one of"),
-        ({"x": "time", "y": "error", "colour": "red"}, "unknown key 'colour'"),
-        ({"panels": []}, "list of descriptions"),
     ],
 )
-def test_wrong_descriptions_are_refused(work: Table, spec: dict[str, Any], message: str) -> None:
+def test_wrong_descriptions_are_refused(work: Columns, spec: dict[str, Any], message: str) -> None:
     with style.styled(), pytest.raises(CaseError, match=message):
         figure_of(work, spec)
 
@@ -566,30 +562,15 @@ def test_plot_writes_vector_files_named_after_the_result(
     assert [name.read_bytes() for name in named] == first  # nothing depends on the day
 
 
-def test_plot_draws_tables_of_results_and_of_csv_files(
-    work: Table, tmp_path: Path, command: Command
-) -> None:
-    held = write(tmp_path / "bench.h5", {}, (work,))
-    assert list(drawings(held)) == ["work"]
-    csv = work.write_csv(tmp_path / "work.csv")
-    printed = command("plot", csv, "--output", tmp_path, "--format", "png", "--json")
-    assert json.loads("".join(printed)) == [str(tmp_path / "work-work.png")]
-    assert (tmp_path / "work-work.png").stat().st_size > 1000
-    with style.styled():
-        figure = drawings(held, roles={"x": "error", "y": ["time"]})["work"]()
-    assert figure.axes[0].get_xlabel() == "error"
-
-
 def test_foreign_and_damaged_files_are_refused(path: Path, tmp_path: Path) -> None:
     whole = path.read_bytes()
     (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text.h5").write_text("time, axis\n")
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    for name in ("cut.h5", "text.h5", "missing.h5", "other.csv"):
+    for name in ("cut.h5", "text.h5", "missing.h5"):
         for words in (["plot"], ["animate"]):
             with pytest.raises(ResultFileError):
                 picture_command(words[0], [str(tmp_path / name), "--output", str(tmp_path)])
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_files_of_this_format_with_wrong_contents_are_refused(tmp_path: Path, times: Array) -> None:
@@ -611,7 +592,7 @@ def test_files_of_this_format_with_wrong_contents_are_refused(tmp_path: Path, ti
         (["plot", "FILE", "--kind", "cheese"], "nothing to draw as 'cheese'; there are orbit"),
         (["plot", "FILE", "--format", "jpeg"], "--format is one of pdf, svg, png"),
         (["plot", "FILE", "--trajectory", "1"], "is not a sweep"),
-        (["plot", "FILE", "--x", "time", "--y", "axis"], "name one of its tables"),
+        (["plot", "FILE", "--x", "time", "--y", "axis"], "is not a sweep"),
         (["plot", "FILE", "--colour"], "unrecognized arguments"),
         (["plot", "FILE", "--output", "FILE"], "cannot be made a folder"),
         (["animate", "FILE", "FILE"], "one file at a time"),

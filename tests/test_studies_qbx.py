@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -12,24 +10,6 @@ import pytest
 CASES = Path(__file__).resolve().parents[1] / "cases"
 
 Run = Callable[..., dict[str, float]]
-
-
-@pytest.fixture
-def run_study(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    """`run_study("qbx_orientations")`: the numbers of the script, whose files must be there."""
-
-    def run(name: str, *figures: str) -> dict[str, float]:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.syspath_prepend(str(CASES / "studies"))
-        monkeypatch.delitem(sys.modules, "common", raising=False)
-        found = import_module(name).main(small=True)
-        assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 4
-        for figure in figures or (name,):
-            assert (tmp_path / f"{figure}.pdf").read_bytes()[:4] == b"%PDF"
-            assert (tmp_path / f"{figure}.png").stat().st_size < 150_000
-        return found
-
-    return run
 
 
 def test_no_orientation_is_special(run_study: Run) -> None:

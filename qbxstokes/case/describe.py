@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from qbxstokes.case.document import printable
 from qbxstokes.case.model import MISSING, Convert, FieldInfo, Section, section_of
-from qbxstokes.case.schema import FOREIGN, TABLE_TASKS, Case, keys
+from qbxstokes.case.schema import FOREIGN, Case, keys
 from qbxstokes.errors import CaseError
 
 SCHEMA_FILE = "case.schema.json"
@@ -70,19 +70,12 @@ def json_schema() -> dict[str, Any]:
         for key in parameters:
             known = flow["properties"].setdefault(key, {"description": "key of"})
             known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
-    # Tasks that build their own scenes take neither body nor flow, and a body needs no flow.
-    needless = {"body": list(TABLE_TASKS), "flow": ["body", *TABLE_TASKS]}
+    alone = {"properties": {"task": {"const": "body"}}, "required": ["task"]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
-        "required": [],
-        "allOf": [
-            {
-                "if": {"properties": {"task": {"enum": needless[name]}}, "required": ["task"]},
-                "else": {"required": [name]},
-            }
-            for name in schema["required"]
-        ],
+        "required": [name for name in schema["required"] if name != "flow"],
+        "allOf": [{"if": alone, "else": {"required": ["flow"]}}],
         "$defs": definitions,
         "title": "qbxstokes case",
     }
@@ -194,7 +187,6 @@ _STARTERS: dict[str, dict[str, Any]] = {
         },
     },
     "body": {"task": "body", "title": "The hydrodynamics of a body", "body": {"aspect_ratio": 0.5}},
-    **{name: {"task": name, name: {"size": "small"}} for name in ("benchmark", "stress", "study")},
 }
 
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from qbxstokes.case.base import Text, describe
-from qbxstokes.case.benchmark import Benchmark
 from qbxstokes.case.body import Body
 from qbxstokes.case.checkpoint import Checkpoints
 from qbxstokes.case.compare import Compare
@@ -24,19 +23,13 @@ from qbxstokes.case.hydrodynamics import Hydrodynamics
 from qbxstokes.case.model import Convert, Field, FieldInfo, Key, Problem, Section, section_of
 from qbxstokes.case.output import Output
 from qbxstokes.case.start import Start
-from qbxstokes.case.stress import Stress
-from qbxstokes.case.study import Study
 from qbxstokes.case.sweep import Sweep
-from qbxstokes.case.tabulate import SCENE_SECTIONS
 from qbxstokes.case.time import Time
 
-Task = Literal["motion", "field", "body", "benchmark", "stress", "study"]
-# Tasks that build their own scenes and make tables; each has a section of its own name.
-TABLE_TASKS = ("benchmark", "stress", "study")
+Task = Literal["motion", "field", "body"]
 
 # Sections, and keys of sections, that have no meaning for a task, and what would be right instead.
 # They are refused where they are given, and starter cases leave them out.
-_OWN_SCENES = "leave it out: it has its own"
 _ONE_INSTANT = "leave it out, or use task: motion"
 _STILL = "leave it out: nothing moves"
 _MOVING = ("forces", "constraints", "time", "events", "checkpoint")
@@ -64,11 +57,9 @@ FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
         ("hydrodynamics", "cache"): "leave it out: the body is always formed anew",
         **{("sweep", name): "leave it out: a body has no samples" for name in _SAMPLING},
     },
-    **{task: {(name,): _OWN_SCENES for name in SCENE_SECTIONS} for task in TABLE_TASKS},
 }
 _SAMPLES = "leave it out: it chooses among the samples of a motion"
 for _task, _keys in FOREIGN.items():
-    _keys |= {(name,): "leave it out" for name in TABLE_TASKS if name != _task}
     _keys |= {} if _task == "motion" else {("output", "fields"): _SAMPLES}
 
 PetscValue = str | int | float | bool | None
@@ -127,20 +118,12 @@ class Case(Section):
     sweep: Sweep | None = Field(
         default=None, description="vary keys of the case: many trajectories, one result"
     )
-    benchmark: Benchmark = Field(
-        default=Benchmark(), description="tables of run time against error"
-    )
-    stress: Stress = Field(default=Stress(), description="tables of numerical stability")
-    study: Study = Field(default=Study(), description="studies: tables and figures")
     output: Output = Field(default=Output(), description="the result file")
     compare: Compare = Field(default=Compare(), description="what to hold the result against")
 
     @classmethod
     def _prepare(cls, data: Any) -> Any:
-        """Refuse what has no meaning for the task.
-
-        A task that builds its own scenes stands on a scene that is not used.
-        """
+        """Refuse what has no meaning for the task."""
         if not isinstance(data, dict):
             return data
         task = data.get("task", "motion")
@@ -154,9 +137,7 @@ class Case(Section):
                 raise Problem(f"has no meaning for task: {task}", right, key)
         if task == "body" and not data.get("flow"):
             return {**data, "flow": None}
-        if task not in TABLE_TASKS:
-            return data
-        return {**data, "body": {"aspect_ratio": 1.0}, "flow": {"type": "uniform"}}
+        return data
 
     def _check(self) -> None:
         if self.task == "motion" and self.time is None:

@@ -1,4 +1,4 @@
-"""The commands `plot` and `animate`: pictures of result files and tables."""
+"""The commands `plot` and `animate`: pictures of result files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import json
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,13 +13,12 @@ from qbxstokes.errors import CaseError
 from qbxstokes.io.result import Result
 from qbxstokes.io.results import load
 from qbxstokes.io.sweep_result import SweepResult
-from qbxstokes.io.tables import Table
 
 PLOT_USAGE = """\
 usage: python -m qbxstokes plot FILE ... [options]
 
-Draws what result files (.h5) and tables (.csv) hold; each picture is a file
-NAME-KIND.FORMAT. An older picture of that name is replaced.
+Draws what result files (.h5) hold; each picture is a file NAME-KIND.FORMAT.
+An older picture of that name is replaced.
 
 options
   --output DIR        where the pictures go (default: here)
@@ -35,9 +33,7 @@ of a field
   velocity-field, traction, error
 of a sweep
   a summary of its table, such as period, rotation_rate, orbit_drift
-
-of a table, or a sweep's own: columns by name instead of what the file suggests
-  --table NAME        which table, where the file holds several
+  or columns of its table by name, any against any other:
   --x A --y B,...     curves of B over A
   --by C,...          one curve (or map) per value of C
   --value D           a map of D over A and B
@@ -80,7 +76,6 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         parser.add_argument(f"--{flag}", action="store_true")
     if command == "plot":
         parser.add_argument("--kind", type=_listed, action="extend", default=[])
-        parser.add_argument("--table")
         parser.add_argument("--x")
         parser.add_argument("--value")
         parser.add_argument("--scale")
@@ -111,40 +106,23 @@ def drawings(
     path: Path,
     kinds: Sequence[str] = (),
     trajectory: int | None = None,
-    table: str | None = None,
     roles: Mapping[str, Any] | None = None,
 ) -> dict[str, Drawing]:
-    """Kind and drawing of each picture of a file; `roles` (x, y, by, value, scale) of a table.
+    """Kind and drawing of each picture of a file; `roles`: x, y, by, value, scale of a sweep.
 
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
     from qbxstokes.plots import field, motion, sweep
     from qbxstokes.plots.source import is_motion
-    from qbxstokes.plots.table import figure_of
 
-    found: dict[str, Drawing]
-    if path.suffix == ".csv":
-        held = Table.read_csv(path)
-        tables = {held.name: held}
-        found = {}
-    else:
-        result = _opened(path, trajectory)
-        if isinstance(result, SweepResult):
-            return sweep.drawings(result, kinds, dict(roles or {}))
-        tables = result.tables
-        found = motion.drawings(result) if is_motion(result) else {}
-        found |= field.drawings(result)
+    result = _opened(path, trajectory)
+    if isinstance(result, SweepResult):
+        return sweep.drawings(result, kinds, dict(roles or {}))
     if roles:
-        if table is None and len(tables) == 1:
-            (table,) = tables
-        if table not in tables:
-            names = ", ".join(tables) or "none"
-            raise CaseError(f"{path}: name one of its tables with --table; there are: {names}")
-        return {table: partial(figure_of, tables[table], roles)}
-    for name, held in tables.items():
-        if held.plot and table in (None, name):
-            found[name] = partial(figure_of, held)
+        raise CaseError(f"{path}: is not a sweep, so it has no table whose columns to draw")
+    found: dict[str, Drawing] = motion.drawings(result) if is_motion(result) else {}
+    found |= field.drawings(result)
     for kind in kinds:
         if kind not in found:
             there = ", ".join(found) or "no pictures"
@@ -183,7 +161,7 @@ def _plot(options: argparse.Namespace) -> list[Path]:
     }
     # All files are read before the first picture is written.
     chosen = {
-        Path(name): drawings(Path(name), options.kind, options.trajectory, options.table, roles)
+        Path(name): drawings(Path(name), options.kind, options.trajectory, roles)
         for name in options.files
     }
     _make_folder(options.output)

@@ -12,14 +12,12 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from qbxstokes.io.tables import Table
-
 
 class Result:
     """A result read into memory: each dataset is an attribute holding a NumPy array.
 
     `provenance` and `summary` are nested dictionaries; `attributes` maps each dataset's name to
-    its units, description and frame; `names` lists the datasets; `tables` are the tables by name.
+    its units, description and frame; `names` lists the datasets.
     """
 
     def __init__(
@@ -29,10 +27,8 @@ class Result:
         arrays: dict[str, NDArray[Any]],
         attributes: dict[str, dict[str, Any]],
         groups: dict[str, dict[str, Any]],
-        tables: dict[str, Table] | None = None,
     ) -> None:
         """Collect what `load` has read."""
-        self.tables: dict[str, Table] = tables or {}
         self.path = path
         self.task: str = header["task"]
         self.format_version = int(header["format_version"])

@@ -18,7 +18,6 @@ from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, read_tree
 from qbxstokes.io.result import Result
 from qbxstokes.io.sweep_result import read_sweep
-from qbxstokes.io.tables import GROUP, read_tables
 
 
 def load(path: str | Path) -> Result:
@@ -59,10 +58,7 @@ def load(path: str | Path) -> Result:
             arrays: dict[str, NDArray[Any]] = {}
             attributes: dict[str, dict[str, Any]] = {}
             groups: dict[str, dict[str, Any]] = {}
-            tables = read_tables(file)
             for name, item in file.items():
-                if name == GROUP:
-                    continue
                 if isinstance(item, h5py.Group):
                     groups[name] = read_tree(item)
                     continue
@@ -79,7 +75,7 @@ def load(path: str | Path) -> Result:
     except Exception as error:  # h5py reports damage by errors of many kinds
         reason = " ".join(str(error).split())
         raise ResultFileError(f"{path}: is damaged or truncated ({reason})") from None
-    return Result(path, header, arrays, attributes, groups, tables)
+    return Result(path, header, arrays, attributes, groups)
 
 
 def told_by(path: Path, name: str, complete: bool = False) -> str | None:

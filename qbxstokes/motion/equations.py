@@ -48,11 +48,12 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-# From this size of the block, or this number of right-hand sides of a single body, the compiled
-# kernels repay their import (0.4 s, and some seconds of compilation once on a machine, against
-# some 6 us a right-hand side).
+# From this size of the block, or this number of right-hand sides of a single body or of fewer
+# lanes than that, the compiled kernels repay their import (0.4 s, and some seconds of compilation
+# once on a machine, against some 6 us a right-hand side of one body and 80 us of several).
 COMPILED_BLOCK = 8
 COMPILED_EVALUATIONS = 500_000
+COMPILED_EVALUATIONS_OF_FEW = 1_000
 
 
 class RigidBodyEquations(Reported):
@@ -87,7 +88,8 @@ class RigidBodyEquations(Reported):
         possible = self._table is not None and self.constraints.free
         if self.evaluation != "auto":
             return possible and self.evaluation == "compiled"
-        return possible and (self.n_lanes >= COMPILED_BLOCK or evaluations >= COMPILED_EVALUATIONS)
+        enough = COMPILED_EVALUATIONS if self.n_lanes == 1 else COMPILED_EVALUATIONS_OF_FEW
+        return possible and (self.n_lanes >= COMPILED_BLOCK or evaluations >= enough)
 
     def rate_function(
         self, evaluations: float = 0.0, still: Array | None = None

@@ -7,7 +7,6 @@ or a map where both are long. Random starts: points over the orbit constant they
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
+from qbxstokes.plots.columns import figure_of
 from qbxstokes.plots.source import ResultLike
-from qbxstokes.plots.table import figure_of
 from qbxstokes.quantities import column as quantity_of_column
 
 if TYPE_CHECKING:
@@ -48,12 +47,6 @@ class SweepLike(ResultLike, Protocol):
         """Number of points of every axis of the sweep."""
 
 
-@dataclass(frozen=True)
-class _Column:
-    unit: str
-    heading: str = ""
-
-
 class SweepTable:
     """The summaries of a sweep as a table; trajectories that failed are left out."""
 
@@ -62,8 +55,6 @@ class SweepTable:
         self._table = sweep.arrays["table"]
         self._about = sweep.attributes["table"]
         self._whole = self._table["status"] == 1
-        self.name = "of the sweep"
-        self.plot: dict[str, Any] = {}
 
     @property
     def names(self) -> list[str]:
@@ -75,10 +66,10 @@ class SweepTable:
         values = self._table[name][self._whole]
         return np.char.decode(values, "ascii") if values.dtype.kind == "S" else values
 
-    def column(self, name: str) -> _Column:
-        """The description of the column."""
+    def unit(self, name: str) -> str:
+        """Unit of the column."""
         unit = str(self._about.get(f"{name}: units", ""))
-        return _Column(unit or quantity_of_column(name).units)
+        return unit or quantity_of_column(name).units
 
 
 def swept_axes(sweep: SweepLike) -> list[str | None]:

@@ -64,7 +64,6 @@ def compute_case(
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
     with clock.part("import"):
         from qbxstokes.case.load import from_document
-        from qbxstokes.case.schema import TABLE_TASKS
         from qbxstokes.runs.target import target_of
         from qbxstokes.runs.tasks import plan_of
 
@@ -84,14 +83,6 @@ def compute_case(
         from qbxstokes.runs.field_run import run_field_case
 
         return run_field_case(job)
-    if loaded.case.task == "study":
-        from qbxstokes.app.study.run import run_studies
-
-        return run_studies(comm, loaded, plan, options, petsc, clock)
-    if loaded.case.task in TABLE_TASKS:
-        from qbxstokes.app.tabulate import run_tables
-
-        return run_tables(comm, loaded, plan, options, petsc, clock)
     if loaded.space is not None:
         from qbxstokes.runs.sweep import sweep_command
 

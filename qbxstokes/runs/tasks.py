@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.schema import TABLE_TASKS
 
 
 def plan_of(loaded: LoadedCase) -> Any:
@@ -18,10 +17,6 @@ def plan_of(loaded: LoadedCase) -> Any:
         from qbxstokes.runs.body import plan_body
 
         return plan_body(loaded)
-    if loaded.case.task in TABLE_TASKS:
-        from qbxstokes.app.tabulate import plan_tables
-
-        return plan_tables(loaded, True)
     from qbxstokes.runs.plan import make_plan
 
     return make_plan(loaded)

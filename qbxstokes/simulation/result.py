@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,6 +72,13 @@ class Motion:
     def steps(self) -> int:
         """Steps that the integrator took."""
         return int(self.summary["steps"])
+
+    def between(self, begin: float, end: float) -> Motion:
+        """The samples from begin to end, both included: averages over a window of the time."""
+        first, last = np.searchsorted(self.time, begin), np.searchsorted(self.time, end, "right")
+        lanes = (slice(None),) * (self.position.ndim - 2)
+        values = {name: getattr(self, name)[(*lanes, slice(first, last))] for name in MOTION}
+        return replace(self, time=self.time[first:last], **values)
 
     def averages(self, discard: float = 0.0) -> dict[str, Array]:
         """Averages over the whole half-turns after the first part `discard` of the time.

@@ -1,18 +1,13 @@
-"""Tables as pictures: curves over one column, maps over two, bars over names.
+"""Columns against columns: curves over one of them, maps over two, bars over texts.
 
-A table says how it is best drawn in its `plot`:
+What is drawn is a dictionary:
 
     x, y     names of columns; y may be a list of columns that share an axis
     by       column, or list of columns: one curve (of a map: one panel) per value
     value    column: a map of it over x and y instead of curves
     scale    "loglog", "semilogx", "semilogy" or "linear"; chosen from the values where absent
     error    column: uncertainty of y, drawn as bars
-    slopes   exponents of grey guide lines in a doubly logarithmic picture
     points   true: markers alone, not joined in the order of the rows
-    mark     "minimum" or "maximum": a star there in a map
-    panels   a list of such descriptions, side by side in one figure
-
-The same description can be given by hand: `table_figure(table, {"x": "time", "y": "error"})`.
 """
 
 from __future__ import annotations
@@ -35,7 +30,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-KEYS = ("x", "y", "by", "value", "scale", "error", "slopes", "points", "mark", "panels")
 SCALES = {
     "loglog": ("log", "log"),
     "semilogx": ("log", "linear"),
@@ -48,23 +42,8 @@ _SPREAD = 50.0  # positive values over more than this factor are drawn on a loga
 _CONTOURS = 4  # rows and columns a map needs for contour lines
 
 
-class ColumnLike(Protocol):
-    """A described column."""
-
-    @property
-    def unit(self) -> str:
-        """Unit, "" or "1" for a pure number."""
-
-    @property
-    def heading(self) -> str:
-        """What stands above it when printed; "" for its name."""
-
-
 class TableLike(Protocol):
     """Named columns of equal length."""
-
-    name: str
-    plot: dict[str, Any]
 
     @property
     def names(self) -> list[str]:
@@ -73,8 +52,8 @@ class TableLike(Protocol):
     def __getitem__(self, name: str) -> NDArray[Any]:
         """The column as an array."""
 
-    def column(self, name: str) -> ColumnLike:
-        """The description of the column."""
+    def unit(self, name: str) -> str:
+        """Unit of the column, "" or "1" for a pure number."""
 
 
 @dataclass(frozen=True)
@@ -86,38 +65,30 @@ class _Group:
     value: float  # of the first of these columns; nan for a text
 
 
-def figure_of(table: TableLike, spec: Mapping[str, Any] | None = None) -> Figure:
-    """The table as it says it is best drawn, or as `spec` says.
+def figure_of(table: TableLike, spec: Mapping[str, Any]) -> Figure:
+    """The table drawn as `spec` says.
 
-    Raises CaseError for a column that is not there, a text where numbers are needed, and keys
-    that mean nothing.
+    Raises CaseError for a column that is not there, and a text where numbers are needed.
     """
-    spec = _checked(table, spec if spec is not None else table.plot)
-    specs = [_checked(table, panel) for panel in spec["panels"]] if "panels" in spec else [spec]
-    panels: list[tuple[dict[str, Any], NDArray[np.intp], str]] = []
-    for each in specs:
-        parts = [_Group(np.arange(_length(table)), "", math.nan)]
-        if "value" in each and "by" in each:
-            parts = _groups(table, each["by"], parts[0].rows)
-            if len(parts) > _PANELS:
-                raise CaseError(
-                    f"table {table.name}: {len(parts)} maps by {', '.join(each['by'])}; "
-                    f"at most {_PANELS} fit"
-                )
-        panels += [(each, part.rows, part.label) for part in parts]
-    columns = min(len(panels), 3)
-    rows = -(-len(panels) // columns)
+    spec = _checked(table, spec)
+    parts = [_Group(np.arange(_length(table)), "", math.nan)]
+    if "value" in spec and "by" in spec:
+        parts = _groups(table, spec["by"], parts[0].rows)
+        if len(parts) > _PANELS:
+            raise CaseError(f"{len(parts)} maps by {', '.join(spec['by'])}; at most {_PANELS} fit")
+    columns = min(len(parts), 3)
+    rows = -(-len(parts) // columns)
     wide = style.COLUMN if columns == 1 else style.PAGE
     figure = style.new_figure(wide, rows * (2.7 if columns < 3 else 2.3))
     drawn = []
-    for index, (each, part, heading) in enumerate(panels):
+    for index, part in enumerate(parts):
         axes = figure.add_subplot(rows, columns, index + 1)
-        if "value" in each:
-            draw_map(axes, table, each, part)
+        if "value" in spec:
+            draw_map(axes, table, spec, part.rows)
         else:
-            draw_curves(axes, table, each)
-        if heading:
-            axes.set_title(heading, loc="left")
+            draw_curves(axes, table, spec)
+        if part.label:
+            axes.set_title(part.label, loc="left")
         drawn.append(axes)
     style.letter_panels(drawn)
     return figure
@@ -134,7 +105,7 @@ def draw_curves(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
     shaded = len(groups) * len(names) > _CURVES
     if shaded and (len(names) > 1 or math.isnan(groups[0].value)):
         raise CaseError(
-            f"table {table.name}: {len(groups) * len(names)} curves cannot be told apart; "
+            f"{len(groups) * len(names)} curves cannot be told apart; "
             f"at most {_CURVES}, or more of one column parted by one number"
         )
     _set_scales(axes, spec, x, np.concatenate([_numbers(table, name) for name in names]))
@@ -150,7 +121,7 @@ def draw_curves(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
                 look["linestyle"] = "none"
             words = [group.label] if group.label else []
             if len(names) > 1:
-                words.insert(0, _short(table, name))
+                words.insert(0, _short(name))
             rows = group.rows
             axes.plot(x[rows], y[rows], label=", ".join(words), **look)
             if error is not None:
@@ -164,13 +135,12 @@ def draw_curves(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
                     capsize=1.5,
                 )
             index += 1
-    _draw_slopes(axes, spec.get("slopes", []))
     axes.set_xlabel(_label(table, spec["x"]))
-    shared = {_unit(table, name) for name in names}
+    shared = {table.unit(name) for name in names}
     if len(names) == 1:
-        _label_y(axes, _words(table, names[0]), _unit(table, names[0]))
+        _label_y(axes, _words(names[0]), table.unit(names[0]))
     elif len(shared) == 1:
-        _label_y(axes, _common(table, names), shared.pop())
+        _label_y(axes, _common(names), shared.pop())
     if colours is not None:
         by = spec["by"][0]
         axes.figure.colorbar(colours.mappable, ax=axes, label=_label(table, by), aspect=30)
@@ -179,12 +149,7 @@ def draw_curves(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
         style.legend_above(axes, columns=max(1, min(4, 44 // (longest + 8))))
 
 
-def draw_map(
-    axes: Axes,
-    table: TableLike,
-    spec: Mapping[str, Any],
-    rows: NDArray[np.intp] | None = None,
-) -> None:
+def draw_map(axes: Axes, table: TableLike, spec: Mapping[str, Any], rows: NDArray[np.intp]) -> None:
     """The column `value` over x and y as coloured cells with contour lines.
 
     All panels of one table share their colours. Cells without a value are hatched.
@@ -193,14 +158,12 @@ def draw_map(
     from matplotlib.patheffects import withStroke
     from matplotlib.ticker import LogLocator, MaxNLocator
 
-    if rows is None:
-        rows = np.arange(_length(table))
     name = spec["value"]
     values = _numbers(table, name)
     x, y, grid = _pivot(table, spec["x"], spec["y"][0], values, rows)
     finite = values[np.isfinite(values)]
     if not finite.size:
-        raise CaseError(f"table {table.name}: column {name} holds no number")
+        raise CaseError(f"column {name} holds no number")
     logarithmic = _is_log(finite)
     kind = LogNorm if logarithmic else Normalize
     norm = kind(float(finite.min()), float(finite.max()))
@@ -227,13 +190,6 @@ def draw_map(
             drawn = [lines] if hasattr(lines, "set_path_effects") else lines.collections
             for artist in (*drawn, *axes.texts):
                 artist.set_path_effects([withStroke(linewidth=1.3, foreground="#00000050")])
-    mark = spec.get("mark")
-    if mark and np.isfinite(grid).any():
-        flat = np.nanargmin(grid) if mark == "minimum" else np.nanargmax(grid)
-        row, column = np.unravel_index(int(flat), grid.shape)
-        axes.plot(
-            x[column], y[row], "*", ms=9, mfc="white", mec=style.BLACK, mew=0.8, label=str(mark)
-        )
     axes.set_xlabel(_label(table, spec["x"]))
     axes.set_ylabel(_label(table, spec["y"][0]))
     axes.set_xlim(edges_x[0], edges_x[-1])
@@ -241,52 +197,26 @@ def draw_map(
     axes.figure.colorbar(mesh, ax=axes, label=_label(table, name), aspect=30)
 
 
-def work_precision(
-    table: TableLike, cost: str, error: str, by: str | Sequence[str] = (), slopes: Any = ()
-) -> Figure:
-    """Error against cost (time, evaluations, nodes), doubly logarithmic, a curve per method."""
-    return figure_of(
-        table,
-        {"x": cost, "y": error, "by": by, "scale": "loglog", "slopes": list(slopes)},
-    )
-
-
-def parameter_map(table: TableLike, x: str, y: str, value: str, mark: str = "minimum") -> Figure:
-    """A quantity over two parameters, its best cell marked."""
-    return figure_of(table, {"x": x, "y": y, "value": value, "mark": mark})
-
-
 def _checked(table: TableLike, spec: Mapping[str, Any]) -> dict[str, Any]:
-    """The description with lists where lists may stand, every name in it known."""
+    """The description with lists where lists may stand, every column in it known."""
     spec = dict(spec)
-    where = f"table {table.name}"
-    for key in spec:
-        if key not in KEYS:
-            raise CaseError(f"{where}: plot: unknown key {key!r}; there are {', '.join(KEYS)}")
-    if "panels" in spec:
-        panels = spec["panels"]
-        if not (isinstance(panels, list) and panels and all(isinstance(p, dict) for p in panels)):
-            raise CaseError(f"{where}: plot: panels is a list of descriptions")
-        return spec
     for key in ("y", "by"):
         given = spec.get(key) or []
         spec[key] = [given] if isinstance(given, str) else list(given)
     if not spec["by"]:
         del spec["by"]
     if not isinstance(spec.get("x"), str) or not spec["y"]:
-        raise CaseError(f"{where}: does not say what to draw; give the columns x and y")
+        raise CaseError("this does not say what to draw; give the columns x and y")
     text = ("x", "by") if "value" not in spec else ("by",)
     for key in ("x", "y", "by", "value", "error"):
         given = spec.get(key, [])
         for name in [given] if isinstance(given, str) else given:
             if name not in table.names:
-                raise CaseError(f"{where}: no column {name!r}; there are {', '.join(table.names)}")
+                raise CaseError(f"no column {name!r}; there are {', '.join(table.names)}")
             if key not in text and table[name].dtype.kind not in "biuf":
-                raise CaseError(f"{where}: column {name} holds texts, not numbers")
+                raise CaseError(f"column {name} holds texts, not numbers")
     if spec.get("scale", "linear") not in SCALES:
-        raise CaseError(f"{where}: plot: scale is one of {', '.join(SCALES)}")
-    if spec.get("mark", "minimum") not in ("minimum", "maximum"):
-        raise CaseError(f"{where}: plot: mark is minimum or maximum")
+        raise CaseError(f"scale is one of {', '.join(SCALES)}")
     return spec
 
 
@@ -319,26 +249,22 @@ def _entry(table: TableLike, name: str, value: Any) -> str:
     if isinstance(value, str):
         return value or "-"
     if isinstance(value, bool):
-        return _short(table, name) if value else f"not {_short(table, name)}"
-    unit = style.units_text(_unit(table, name))
-    return f"{_short(table, name)} = {value:.4g}" + (f" {unit}" if unit else "")
+        return _short(name) if value else f"not {_short(name)}"
+    unit = style.units_text(table.unit(name))
+    return f"{_short(name)} = {value:.4g}" + (f" {unit}" if unit else "")
 
 
-def _words(table: TableLike, name: str) -> str:
-    return table.column(name).heading or quantity_of_column(name).heading
+def _words(name: str) -> str:
+    return quantity_of_column(name).heading
 
 
-def _short(table: TableLike, name: str) -> str:
+def _short(name: str) -> str:
     symbol = quantity_of_column(name).symbol
-    return f"${symbol}$" if symbol else _words(table, name)
-
-
-def _unit(table: TableLike, name: str) -> str:
-    return table.column(name).unit
+    return f"${symbol}$" if symbol else _words(name)
 
 
 def _label(table: TableLike, name: str) -> str:
-    return style.label(_words(table, name), _unit(table, name))
+    return style.label(_words(name), table.unit(name))
 
 
 def _label_y(axes: Axes, words: str, unit: str) -> None:
@@ -348,9 +274,9 @@ def _label_y(axes: Axes, words: str, unit: str) -> None:
         style.set_ylabel(axes, words, unit)
 
 
-def _common(table: TableLike, names: Sequence[str]) -> str:
+def _common(names: Sequence[str]) -> str:
     """The words that all of several columns end with: "error" of "force error", "torque error"."""
-    texts = [_words(table, name).split() for name in names]
+    texts = [_words(name).split() for name in names]
     shared: list[str] = []
     for words in zip(*(reversed(text) for text in texts), strict=False):
         if len(set(words)) > 1:
@@ -384,9 +310,7 @@ def _pivot(
     places_x, column = np.unique(_numbers(table, x)[rows], return_inverse=True)
     places_y, row = np.unique(_numbers(table, y)[rows], return_inverse=True)
     if len(np.unique(row * len(places_x) + column)) < len(rows):
-        raise CaseError(
-            f"table {table.name}: several rows have the same {x} and {y}; part them with `by`"
-        )
+        raise CaseError(f"several rows have the same {x} and {y}; part them with `by`")
     grid = np.full((len(places_y), len(places_x)), np.nan)
     grid[row, column] = values[rows]
     return places_x, places_y, grid
@@ -432,39 +356,14 @@ class _Shades:
         return mappable.to_rgba(value)
 
 
-def _draw_slopes(axes: Axes, slopes: Sequence[float]) -> None:
-    """Grey lines of given slopes through the middle of what is drawn, each named at its end."""
-    if not slopes or axes.get_xscale() != "log" or axes.get_yscale() != "log":
-        return
-    low, high = (np.log(limit) for limit in axes.get_xlim())
-    bottom, top = (np.log(limit) for limit in axes.get_ylim())
-    reach = np.array([low + 0.2 * (high - low), low + 0.8 * (high - low)])
-    for slope in slopes:
-        y = 0.5 * (bottom + top) + slope * (reach - reach.mean())
-        axes.plot(np.exp(reach), np.exp(y), color=style.GREY, lw=0.7, ls=(0, (4, 3)), zorder=0)
-        axes.annotate(
-            f"slope {slope:g}".replace("-", "\u2212"),
-            (float(np.exp(reach[-1])), float(np.exp(y[-1]))),
-            (3, 0),
-            textcoords="offset points",
-            fontsize=7,
-            color=style.GREY,
-            va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
-            zorder=0.5,
-        )
-    axes.set_xlim(np.exp(low), np.exp(high))
-    axes.set_ylim(np.exp(bottom), np.exp(top))
-
-
 def _draw_bars(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
     """Horizontal bars: one group per text in x, one bar per column of y (or value of `by`)."""
     texts, names = table[spec["x"]], spec["y"]
     if len(names) > 1 and "by" in spec:
-        raise CaseError(f"table {table.name}: bars over texts take several y or `by`, not both")
+        raise CaseError("bars over texts take several y or `by`, not both")
     words = list(dict.fromkeys(texts.tolist()))
     bars = [
-        (group.label or _short(table, name), name, group.rows)
+        (group.label or _short(name), name, group.rows)
         for name in names
         for group in _groups(table, spec.get("by", []), np.arange(len(texts)))
     ]
@@ -485,8 +384,8 @@ def _draw_bars(axes: Axes, table: TableLike, spec: Mapping[str, Any]) -> None:
     axes.set_yticks(range(len(words)), words)
     axes.tick_params(axis="y", length=0)
     axes.invert_yaxis()
-    units = {_unit(table, name) for name in names}
-    shown = _words(table, names[0]) if len(names) == 1 else _common(table, names)
+    units = {table.unit(name) for name in names}
+    shown = _words(names[0]) if len(names) == 1 else _common(names)
     axes.set_xlabel(style.label(shown, units.pop() if len(units) == 1 else ""))
     if len(bars) > 1:
         style.legend_above(axes, columns=min(4, len(bars)))

@@ -1,1 +1,0 @@
-"""The application: plans, runs, command line and what it prints."""
