@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import ENVIRONMENT, ROOT, Run, script
 
+import qbxstokes as qs
 from qbxstokes.geometry import rotation
 from qbxstokes.reference import jeffery
 
@@ -33,11 +34,9 @@ def small(name: str) -> dict[str, Rows]:
 
 @pytest.mark.slow
 def test_honesty() -> None:
-    tables = small("honesty")
-    assert column(tables["honesty"], "missed").tolist() == [0] * 4
-    assert np.all(column(tables["honesty"], "within_100") > 0.5)
-    for row in tables["thinness"]:
-        assert row["estimate"] >= 0.5 * row["error"]
+    rows = small("honesty")["honesty"]
+    assert column(rows, "missed").tolist() == [0] * 4
+    assert np.all(column(rows, "within_100") > 0.5)
 
 
 def test_iterations() -> None:
@@ -47,12 +46,24 @@ def test_iterations() -> None:
         assert row["preconditioned"] == 1 < row["plain"] < 30
 
 
-def test_setup() -> None:
-    tables = small("setup_time")
-    for row in tables["schemes"]:
+def test_schemes() -> None:
+    for row in small("schemes")["schemes"]:
         assert row["graded_error"] <= row["error"]
-    for row in tables["setup"]:
-        assert row["error"] <= row["tolerance"]
+
+
+def test_setup() -> None:
+    axes = {"body.aspect_ratio": [0.1, 2.0], "hydrodynamics.tolerance": [1e-4, 1e-10]}
+    table = qs.sweep(
+        {"task": "body", "body": {"aspect_ratio": 1}}, axes, measure={"repeats": 1}
+    ).table
+    assert np.all(table["error"] <= table["hydrodynamics_tolerance"])
+    assert np.all(table["setup_time"] > 0.0)
+
+
+def test_thinness() -> None:
+    axes = {"body.aspect_ratio": [1e-3, 0.01, 1.0, 50.0, 1e3]}
+    table = qs.sweep({"task": "body", "body": {"aspect_ratio": 1}}, axes).table
+    assert np.all(table["error_estimate"] >= 0.5 * table["error"])
 
 
 def test_every_way_to_a_right_hand_side_is_the_closed_form() -> None:
@@ -74,6 +85,14 @@ def test_the_closed_form_is_jefferys() -> None:
             spin = turn @ jeffery.free_angular_velocity(k, gradient)
             expected = 0.5 * rotation.multiply([0.0, *spin], q)
             assert np.allclose(rate, [2.0, 0.0, 0.0, *expected], atol=1e-14)
+
+
+def test_integrators_keep_their_tolerance() -> None:
+    tables = small("integrators")
+    assert list(tables) == ["integrators_massless", "integrators_inertial"]
+    for rows in tables.values():
+        assert np.all(column(rows, "error") < 10.0 * column(rows, "tolerance"))
+        assert column(rows, "taken").sum() == 2  # one method of each tolerance
 
 
 def test_blocks_are_as_accurate_as_the_loop_they_are_compared_with() -> None:
@@ -105,7 +124,7 @@ def test_what_is_only_timed_is_timed(name: str) -> None:
     small(name)
 
 
-@pytest.mark.parametrize("name", ["ranks.yaml", "ten_million.yaml"])
+@pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("*.yaml")))
 def test_cases_say_what_they_are(name: str, run_cli: Run) -> None:
     text = (FOLDER / name).read_text()
     for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
