@@ -28,7 +28,6 @@ LEVELS = (
     {"petsc", "io", "plots", "case"},
     {"simulation"},
     {"runs"},
-    {"app"},
     {"cli"},
     {"__main__", "__init__"},
 )
@@ -39,15 +38,15 @@ SHARED = ("errors", "__version__")
 # Libraries that only some packages may import, wherever in the file the import stands.
 HOMES = {
     "petsc4py": {"petsc"},
-    "mpi4py": {"petsc", "runs", "app", "cli"},
+    "mpi4py": {"petsc", "runs", "cli"},
     "yaml": {"case"},
     "h5py": {"io"},
     "matplotlib": {"plots"},
     "pandas": {"io"},
     "xarray": {"io"},
     "tqdm": {"runs"},
-    "argparse": {"runs", "app", "cli", "__main__"},
-    "logging": {"petsc", "io", "plots", "case", "simulation", "runs", "app", "cli", "__main__"},
+    "argparse": {"runs", "cli", "__main__"},
+    "logging": {"petsc", "io", "plots", "case", "simulation", "runs", "cli", "__main__"},
 }
 # What verifies shares no code with what is verified.
 REFERENCE_LIBRARIES = {"numpy", "scipy"}
