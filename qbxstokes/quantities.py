@@ -222,7 +222,11 @@ SUMMARY = _named(
     _vector("final_angular_velocity", r"\Omega", "1/tau", "angular velocity at the end, in space"),
     Quantity("steps", "", "1", "steps of its block"),
     Quantity(
-        "rhs_evaluations", "", "1", "right-hand sides of its block, each for every trajectory in it"
+        "rhs_evaluations",
+        "",
+        "1",
+        "right-hand sides of its block, each for every trajectory in it",
+        label="right-hand sides",
     ),
     Quantity(
         "error_estimate",

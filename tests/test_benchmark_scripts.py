@@ -127,6 +127,7 @@ def test_what_is_only_timed_is_timed(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("*.yaml")))
 def test_cases_say_what_they_are(name: str, run_cli: Run) -> None:
     text = (FOLDER / name).read_text()
+    assert text.startswith("# yaml-language-server: $schema=../../qbxstokes/case/case.schema.json")
     for word in ("# Shows:", "# Source:", "# Run:", "# Expected:"):
         assert word in text
     done = run_cli(FOLDER / name, "--dry-run")

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Run
+from conftest import ROOT, Run
 
 import qbxstokes as qs
 from qbxstokes.bie.exact import true_error
 from qbxstokes.case.load import load_case
+from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ConvergenceError
+from qbxstokes.plots import style
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.body import plan_body
 
@@ -302,3 +304,120 @@ def test_ranks_share_measured_trajectories(
         if not name.endswith("_time"):
             np.testing.assert_array_equal(one.table[name], two.table[name])
     np.testing.assert_array_equal(one.orientation, two.orientation)
+
+
+# -- pictures --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A measured sweep over a method, an aspect ratio and a tolerance."""
+    case = {**MOTION, "time": {"end": 2.0, "samples": 3}}
+    axes = {
+        "petsc.ts_rk_type": [None, "3bs"],
+        "body.aspect_ratio": [0.5, 2.0],
+        "time.tolerance": [1e-2, 1e-4, 1e-6],
+    }
+    path = tmp_path_factory.mktemp("measured") / "scene.h5"
+    qs.sweep(case, axes, file=path, store="summary", **MEASURE)
+    return path
+
+
+def lines(path: Path, kind: str, **roles: Any) -> Any:
+    """Axes of a picture, and its curves by their labels."""
+    with style.styled():
+        axes = drawings(path, roles=roles)[kind]().axes[0]
+    return axes, {line.get_label(): line for line in axes.get_lines()}
+
+
+def test_a_measured_sweep_is_drawn_as_error_over_time(measured: Path) -> None:
+    assert list(drawings(measured)) == ["error"]
+    axes, curves = lines(measured, "error")
+    assert list(curves) == [f"{way}, $k$ = {k}" for way in ("default", "3bs") for k in ("0.5", "2")]
+    table = qs.load(measured).table
+    np.testing.assert_array_equal(curves["3bs, $k$ = 2"].get_xdata(), table["wall_time"][9:])
+    np.testing.assert_array_equal(curves["3bs, $k$ = 2"].get_ydata(), table["error"][9:])
+    assert curves["3bs, $k$ = 2"].get_linestyle() != "None"  # along the tolerance
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("wall time (s)", "error")
+    assert axes.get_yscale() == "log"
+
+
+def test_any_column_is_drawn_over_any_other(measured: Path) -> None:
+    roles = {"x": "rhs_evaluations", "y": ["error", "error_estimate"], "by": ["petsc_ts_rk_type"]}
+    axes, curves = lines(measured, "error-error_estimate", **roles, scale="loglog")
+    both = [f"{name}, {way}" for name in ("error", "error estimate") for way in ("default", "3bs")]
+    assert list(curves) == both
+    # Rows that differ in shape and tolerance follow no curve.
+    assert {line.get_linestyle() for line in curves.values()} == {"None"}
+    assert axes.get_xlabel() == "right-hand sides"
+    assert (axes.get_xscale(), axes.get_ylabel()) == ("log", "error")
+    # What is left open is completed from the axes of the sweep.
+    axes, curves = lines(measured, "steps", y=["steps"])
+    assert len(curves) == 4
+    assert axes.get_xlabel() == "time tolerance"
+    axes, _ = lines(measured, "wall_time", x="petsc_ts_rk_type", y=["wall_time"])
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["null", "3bs"]
+
+
+def test_swept_keys_are_named_as_in_the_case(measured: Path, tmp_path: Path) -> None:
+    words = ["--x", "time.tolerance", "--y", "error", "--by", "body.aspect_ratio,petsc.ts_rk_type"]
+    folder = ["--output", str(tmp_path), "--quiet"]
+    assert picture_command("plot", [str(measured), *words, *folder]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["scene-error.pdf"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--x", "walltime", "--y", "error"], "no column 'walltime'; did you mean wall_time"),
+        (["--x", "wall_time", "--y", "error_"], "no column 'error_'; did you mean error"),
+        (
+            ["--x", "wall_time", "--y", "time"],
+            "no column 'time'; did you mean .*wall_time",
+        ),
+        (["--x", "wall_time", "--y", "zzz"], "no column 'zzz'; there are petsc_ts_rk_type, aspect"),
+        (["--x", "wall_time", "--y", "petsc.ts_rk_type"], "holds texts, not numbers"),
+        (["--x", "wall_time"], "say which column to draw with --y"),
+        (["--y", "error", "--by", "steps", "--scale", "log"], "scale is one of loglog"),
+        (["--kind", "walltime"], "no summary 'walltime' in this sweep; did you mean wall_time"),
+    ],
+)
+def test_columns_that_are_not_there_are_told(measured: Path, words: list[str], told: str) -> None:
+    with pytest.raises(CaseError, match=told):
+        picture_command("plot", [str(measured), *words])
+
+
+def test_bodies_are_drawn_over_what_is_swept(tmp_path: Path) -> None:
+    path = tmp_path / "bodies.h5"
+    axes = {"body.aspect_ratio": [0.5, 2.0], "hydrodynamics.tolerance": [1e-4, 1e-6]}
+    qs.sweep(BARE, axes, file=path)
+    assert list(drawings(path)) == [
+        *(
+            f"resistance_{m}_{d}"
+            for m in ("translation", "rotation")
+            for d in ("transverse", "axial")
+        ),
+        *("linear", "error"),
+    ]
+    drawn, curves = lines(path, "resistance_rotation_axial", y=["resistance_rotation_axial"])
+    assert drawn.get_ylabel() == r"resistance to rotation, axial ($\mu c^3$)"
+    assert list(curves) == [f"hydrodynamics tolerance = $10^{{{p}}}$" for p in (-4, -6)]
+
+
+# -- cases -----------------------------------------------------------------------------------------
+
+CASES = ROOT / "cases" / "benchmarks"
+
+
+def test_integrators_take_the_right_hand_sides_that_are_quoted(
+    run_cli: Run, tmp_path: Path
+) -> None:
+    methods = "{petsc.ts_type: [null, null, bdf], time.tolerance: [1e-4, 1e-8, 1e-4]}"
+    changes = (f"sweep={{axes: [{methods}], measure: {{repeats: 1}}}}", "output.file=small.h5")
+    words = [word for change in changes for word in ("--set", change)]
+    done = run_cli(CASES / "motion_work_precision.yaml", "--quiet", *words)
+    assert done.returncode == 0, done.stderr
+    table = qs.load(tmp_path / "small.h5").table
+    assert table["rhs_evaluations"].tolist()[:2] == [1531, 4901]
+    assert np.all(table["error"] < 10.0 * table["time_tolerance"])
+    assert table["wall_time"][2] > table["wall_time"][0]

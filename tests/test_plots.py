@@ -24,7 +24,7 @@ from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Frames, animate
 from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.columns import figure_of
+from qbxstokes.plots.columns import Columns, figure_of
 from qbxstokes.plots.orbit import drifts
 from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.series import alike
@@ -328,21 +328,15 @@ def test_cubic_between_samples_is_exact_for_a_cubic() -> None:
 # -- tables -------------------------------------------------------------------------------------
 
 
-class Columns(dict[str, Any]):
+def table(**columns: Array) -> Columns:
     """Columns by name; times are in seconds."""
-
-    @property
-    def names(self) -> list[str]:
-        return list(self)
-
-    def unit(self, name: str) -> str:
-        return "s" if name == "time" else ""
+    return Columns("table", columns, {"time": "s"})
 
 
 @pytest.fixture
 def work() -> Columns:
     n = np.array([1.0, 2.0, 4.0, 8.0])
-    return Columns(
+    return table(
         method=np.repeat(["first", "second"], 4),
         time=0.1 * np.tile(n, 2),
         error=np.concatenate([n**-1.0, n**-2.0]),
@@ -368,13 +362,13 @@ def test_map_puts_values_in_their_cells() -> None:
     error = np.array([cells[int(a), b] for a, b in zip(p, r, strict=True)])
     spec = {"x": "p", "y": "r", "value": "error"}
     with style.styled():
-        axes = figure_of(Columns(p=p, r=r, error=error), spec).axes[0]
+        axes = figure_of(table(p=p, r=r, error=error), spec).axes[0]
     (mesh,) = axes.collections
     shown = mesh.get_array().reshape(2, 3)
     assert shown.mask.sum() == 1
     assert shown[0, 2] == cells[8, 0.1]
     assert shown[1, 1] == cells[4, 0.5]
-    twice = Columns(p=np.append(p, 2), r=np.append(r, 0.1), error=np.append(error, 1.0))
+    twice = table(p=np.append(p, 2), r=np.append(r, 0.1), error=np.append(error, 1.0))
     with style.styled(), pytest.raises(CaseError, match="same p and r"):
         figure_of(twice, spec)
 
@@ -382,12 +376,12 @@ def test_map_puts_values_in_their_cells() -> None:
 def test_texts_become_bars_and_many_curves_shades() -> None:
     n, part = np.repeat(np.arange(1, 11), 2), np.tile(["solve", "set-up"], 10)
     time = np.array([a - 1.0 + len(b) for a, b in zip(n, part.tolist(), strict=True)])
-    table = Columns(part=part, n=n, time=time)
+    times = table(part=part, n=n, time=time)
     with style.styled():
-        (axes,) = figure_of(table, {"x": "part", "y": "time", "by": "n"}).axes
+        (axes,) = figure_of(times, {"x": "part", "y": "time", "by": "n"}).axes
         assert len(axes.patches) == 20
         assert [t.get_text() for t in axes.get_yticklabels()] == ["solve", "set-up"]
-        axes, bar = figure_of(table, {"x": "time", "y": "time", "by": "n"}).axes
+        axes, bar = figure_of(times, {"x": "time", "y": "time", "by": "n"}).axes
         assert len(axes.get_lines()) == 10
         assert axes.get_legend() is None
         assert bar.get_ylabel() == "n"

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from qbxstokes.case.space import column_name, parse_key
 from qbxstokes.errors import CaseError
 from qbxstokes.io.result import Result
 from qbxstokes.io.results import load
@@ -32,8 +33,9 @@ of a motion
 of a field
   velocity-field, traction, error
 of a sweep
-  a summary of its table, such as period, rotation_rate, orbit_drift
-  or columns of its table by name, any against any other:
+  a summary of its table, such as period, rotation_rate, orbit_drift;
+  of one that was measured the error over the time;
+  or columns of its table, any against any other, swept keys as in the case:
   --x A --y B,...     curves of B over A
   --by C,...          one curve (or map) per value of C
   --value D           a map of D over A and B
@@ -118,7 +120,7 @@ def drawings(
 
     result = _opened(path, trajectory)
     if isinstance(result, SweepResult):
-        return sweep.drawings(result, kinds, dict(roles or {}))
+        return sweep.drawings(result, kinds, roles)
     if roles:
         raise CaseError(f"{path}: is not a sweep, so it has no table whose columns to draw")
     found: dict[str, Drawing] = motion.drawings(result) if is_motion(result) else {}
@@ -154,11 +156,8 @@ def _plot(options: argparse.Namespace) -> list[Path]:
     for name in formats:
         if name not in style.FORMATS:
             raise CaseError(f"command line: --format is one of {', '.join(style.FORMATS)}")
-    roles = {
-        key: getattr(options, key)
-        for key in ("x", "y", "by", "value", "scale")
-        if getattr(options, key)
-    }
+    roles = {key: _columns(getattr(options, key)) for key in ("x", "y", "by", "value")}
+    roles = {key: given for key, given in (roles | {"scale": options.scale}).items() if given}
     # All files are read before the first picture is written.
     chosen = {
         Path(name): drawings(Path(name), options.kind, options.trajectory, roles)
@@ -211,6 +210,13 @@ def _usage(command: str) -> str:
     return PLOT_USAGE.format(
         motion=textwrap.indent("".join(f"{kind:20}{text}\n" for kind, text in KINDS.items()), "  ")
     )
+
+
+def _columns(given: Any) -> Any:
+    """Names of columns, where keys of the case stand for them."""
+    if isinstance(given, list):
+        return [_columns(name) for name in given]
+    return column_name(parse_key(given)) if given and set(".[") & set(given) else given
 
 
 def _listed(text: str) -> list[str]:

@@ -1,22 +1,22 @@
-"""Pictures of a sweep: what its table of summaries shows over the swept values.
+"""Pictures of a sweep: any column of its table over any other, or what the table suggests.
 
-One swept number: curves over it. Two: curves over the longer axis, one per value of the shorter,
-or a map where both are long. Random starts: points over the orbit constant they start with.
+Of a measured sweep that is the error over the time it took. Of any other, summaries over the swept
+values. One swept number: curves over it. Two: curves over the longer axis, one per value of the
+shorter, or a map where both are long. Random starts: points over the orbit constant they start
+with.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
-from qbxstokes.plots.columns import figure_of
-from qbxstokes.plots.source import ResultLike
-from qbxstokes.quantities import column as quantity_of_column
+from qbxstokes.plots.columns import CURVES, Columns, Rows, figure_of
+from qbxstokes.plots.source import ResultLike, resolved_case
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,10 +29,13 @@ SHOWN = (
     "mean_velocity_1",
     "mean_velocity_2",
     "mean_velocity_3",
+    *(f"resistance_translation_{direction}" for direction in ("transverse", "axial")),
+    *(f"resistance_rotation_{direction}" for direction in ("transverse", "axial")),
+    "linear",
+    "error",
 )
 # The uncertainty of a summary, from two windows of time: the same quantity's change.
 CHANGES = {f"mean_velocity_{i}": f"velocity_change_{i}" for i in (1, 2, 3)}
-_CURVES = 7  # values of the shorter axis up to which curves are drawn, not a map
 _RANDOM = "orbit_constant_start"
 _ZERO = 1e-12
 
@@ -47,104 +50,153 @@ class SweepLike(ResultLike, Protocol):
         """Number of points of every axis of the sweep."""
 
 
-class SweepTable:
-    """The summaries of a sweep as a table; trajectories that failed are left out."""
+class _Axis:
+    """An axis of the sweep with more than one point: its columns, those that are words, a number.
 
-    def __init__(self, sweep: SweepLike) -> None:
-        """Take the table of the sweep."""
-        self._table = sweep.arrays["table"]
-        self._about = sweep.attributes["table"]
-        self._whole = self._table["status"] == 1
+    number: the first column that rises or falls along the axis, None where there is none (random
+    starts, vectors, words).
+    """
+
+    def __init__(self, sweep: SweepLike, axis: int) -> None:
+        table, shape = sweep.arrays["table"], sweep.shape
+        self.axis, self.size = axis, shape[axis]
+        self.columns: list[str] = []
+        self.words: list[str] = []
+        self.number: str | None = None
+        for name in sweep.coordinates:
+            values = table[name]
+            lines = np.moveaxis(values.reshape(shape), axis, 0).reshape(self.size, -1)
+            if np.any(lines != lines[:, :1]) or np.all(lines == lines[0]):
+                continue
+            self.columns.append(name)
+            if values.dtype.kind not in "if":
+                self.words.append(name)
+            elif self.number is None:
+                steps = np.diff(lines[:, 0])
+                if np.all(steps > 0) or np.all(steps < 0):
+                    self.number = name
 
     @property
-    def names(self) -> list[str]:
-        """Names of the columns."""
-        return list(self._table.dtype.names or ())
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """The column of what succeeded."""
-        values = self._table[name][self._whole]
-        return np.char.decode(values, "ascii") if values.dtype.kind == "S" else values
-
-    def unit(self, name: str) -> str:
-        """Unit of the column."""
-        unit = str(self._about.get(f"{name}: units", ""))
-        return unit or quantity_of_column(name).units
+    def parting(self) -> list[str]:
+        """Columns that tell its points apart in a legend."""
+        return [self.number] if self.number is not None else self.words or self.columns
 
 
-def swept_axes(sweep: SweepLike) -> list[str | None]:
-    """Of every axis of the sweep with more than one point, the number that tells its points.
+def swept_axes(sweep: SweepLike) -> list[_Axis]:
+    """The axes of a sweep that have more than one point."""
+    return [_Axis(sweep, axis) for axis, points in enumerate(sweep.shape) if points > 1]
 
-    The first swept column that rises or falls along this axis and does not change along others;
-    None where there is none (random starts, vectors, texts).
+
+def columns_of(sweep: SweepLike) -> Columns:
+    """The table of the sweep; trajectories that failed are left out.
+
+    Raises CaseError where none is left.
     """
-    table, shape = sweep.arrays["table"], sweep.shape
-    found: list[str | None] = []
-    for axis, points in enumerate(shape):
-        if points < 2:
-            continue
-        found.append(None)
-        for name in sweep.coordinates:
-            column = table[name]
-            if column.dtype.kind not in "if" or column.size != int(np.prod(shape)):
-                continue
-            lines = np.moveaxis(column.reshape(shape), axis, 0).reshape(points, -1)
-            steps = np.diff(lines[:, 0])
-            if np.all(lines == lines[:, :1]) and (np.all(steps > 0) or np.all(steps < 0)):
-                found[-1] = name
-                break
-    return found
+    table, about = sweep.arrays["table"], sweep.attributes["table"]
+    whole = np.flatnonzero(table["status"] == 1)
+    if not len(whole):
+        raise CaseError(f"{sweep.path}: no trajectory of this sweep succeeded")
+    numbers = [axis.axis for axis in swept_axes(sweep) if axis.number is not None]
+
+    def joined(rows: Rows) -> bool:
+        """Whether rows follow one another along one axis of numbers."""
+        places = np.array(np.unravel_index(whole[rows], sweep.shape))
+        varying = np.flatnonzero(np.any(places != places[:, :1], axis=1))
+        return len(varying) == 0 or (len(varying) == 1 and varying[0] in numbers)
+
+    values = {}
+    for name in table.dtype.names or ():
+        column = table[name][whole]
+        values[name] = np.char.decode(column, "ascii") if column.dtype.kind == "S" else column
+    units = {name: str(about.get(f"{name}: units", "")) for name in values}
+    return Columns(str(sweep.path), values, units, joined)
 
 
 def description(sweep: SweepLike, value: str) -> dict[str, Any]:
     """How the summary `value` is best drawn over the swept numbers."""
     axes = swept_axes(sweep)
-    sizes = [points for points in sweep.shape if points > 1]
-    numbers = sorted(
-        [(size, name) for size, name in zip(sizes, axes, strict=True) if name is not None],
-        key=lambda entry: -entry[0],
-    )
-    names = [name for _, name in numbers]
-    if len(numbers) < len(axes) or not numbers:  # a random axis: points
-        over = names[0] if names else _RANDOM
-        return {"x": over, "y": value, "points": True}
+    numbers = sorted((axis for axis in axes if axis.number), key=lambda axis: -axis.size)
+    names = [str(axis.number) for axis in numbers]
+    words = [axis for axis in axes if not axis.number and axis.words]
+    if not numbers and len(words) == len(axes) == 1:
+        return {"x": words[0].words[0], "y": value}
+    if len(numbers) + len(words) < len(axes) or not numbers:  # a random axis: points
+        return {"x": names[0] if names else _RANDOM, "y": value, "points": True}
     error = {"error": CHANGES[value]} if value in CHANGES else {}
-    if len(numbers) == 1:
-        return {"x": names[0], "y": value, **error}
-    if len(numbers) == 2:
-        if numbers[1][0] > _CURVES:
-            return {"x": names[0], "y": names[1], "value": value}
-        return {"x": names[0], "y": value, "by": names[1], **error}
-    if np.prod([size for size, _ in numbers[1:]]) <= _CURVES:
-        return {"x": names[0], "y": value, "by": names[1:], **error}
-    return {"x": names[0], "y": value, "points": True}
+    if len(names) == 2 and numbers[1].size > CURVES and not words:
+        return {"x": names[0], "y": names[1], "value": value}
+    return {"x": names[0], "y": value, "by": parted(axes, names[0]), **error}
+
+
+def parted(axes: Sequence[_Axis], x: str) -> list[str]:
+    """Columns that part the rows into curves over x, as far as so many can be told apart.
+
+    A curve runs along the axis of x, or else along that of a tolerance, or the longest of numbers.
+    """
+
+    def suits(axis: _Axis) -> tuple[bool, bool, int]:
+        return x in axis.columns, str(axis.number).endswith("tolerance"), axis.size
+
+    along = max((axis for axis in axes if axis.number), key=suits, default=None)
+    by, curves = [], 1
+    for axis in axes:
+        curves *= 1 if axis is along else axis.size
+        if axis is not along and curves <= CURVES:
+            by += axis.parting
+    return by
 
 
 def drawings(
-    sweep: SweepLike, kinds: Sequence[str] = (), roles: dict[str, Any] | None = None
+    sweep: SweepLike, kinds: Sequence[str] = (), roles: Mapping[str, Any] | None = None
 ) -> dict[str, Callable[[], Figure]]:
-    """Name and drawing of each summary that says something, or of those asked for.
+    """Name and drawing of each picture: those asked for, or those that say something.
 
-    roles: x, y, by, value and so on instead of what the sweep suggests.
+    roles: x, y, by, value and scale instead of what the sweep suggests.
     """
-    table = SweepTable(sweep)
-    if not len(table["status"]):
-        raise CaseError(f"{sweep.path}: no trajectory of this sweep succeeded")
+    columns = columns_of(sweep)
     if roles:
-        drawn = roles.get("value") or roles.get("y")
-        name = drawn if isinstance(drawn, str) else "-".join(drawn or ["picture"])
-        return {name: partial(figure_of, table, roles)}
+        return _asked(sweep, columns, roles)
     for kind in kinds:
-        if kind not in table.names or table[kind].dtype.kind not in "if":
-            numbers = [n for n in table.names if table[n].dtype.kind in "if"]
+        if kind not in columns.values or columns.words(kind):
             raise CaseError(
-                f"{sweep.path}: no summary {kind!r} in this sweep; there are {', '.join(numbers)}"
+                f"{sweep.path}: no summary {kind!r} in this sweep; {columns.near(kind)}"
             )
-    wanted = kinds or [name for name in SHOWN if name in table.names and _says(table[name])]
-    return {name: partial(figure_of, table, description(sweep, name)) for name in wanted}
+    if not kinds and (measured := _measured(sweep, columns)):
+        return measured
+    wanted = kinds or [name for name in SHOWN if name in columns.values and _says(columns, name)]
+    return {name: partial(figure_of, columns, description(sweep, name)) for name in wanted}
 
 
-def _says(values: NDArray[Any]) -> bool:
-    """Whether there are numbers, not all of them zero but for rounding."""
-    finite = values[np.isfinite(values)]
-    return bool(finite.size and np.abs(finite).max() > _ZERO)
+def _asked(
+    sweep: SweepLike, columns: Columns, roles: Mapping[str, Any]
+) -> dict[str, Callable[[], Figure]]:
+    """The one picture that the roles tell of, completed where they leave something open."""
+    spec = dict(roles)
+    drawn = spec.get("value") or spec.get("y")
+    if not drawn:
+        raise CaseError(f"{sweep.path}: say which column to draw with --y, or --value for a map")
+    names = [drawn] if isinstance(drawn, str) else list(drawn)
+    for name in names:
+        columns.numbers(name)
+    if "x" not in spec:
+        spec = description(sweep, names[0]) | spec
+    if "by" not in spec and "value" not in spec and not columns.words(spec["x"]):
+        spec["by"] = parted(swept_axes(sweep), spec["x"])
+    return {"-".join(names): partial(figure_of, columns, spec)}
+
+
+def _measured(sweep: SweepLike, columns: Columns) -> dict[str, Callable[[], Figure]]:
+    """Of a measured sweep the error over the time; nothing where there is no error."""
+    section = resolved_case(sweep).get("sweep") or {}
+    time = "wall_time" if "wall_time" in columns.values else "setup_time"
+    if not section.get("measure") or not np.isfinite(columns["error"]).any():
+        return {}
+    by = parted(swept_axes(sweep), time)
+    return {"error": partial(figure_of, columns, {"x": time, "y": "error", "by": by})}
+
+
+def _says(columns: Columns, name: str) -> bool:
+    """Whether there are numbers, not all of them zero but for rounding, which errors may be."""
+    values = columns[name]
+    finite = np.abs(values[np.isfinite(values)])
+    return bool(finite.size and finite.max() > (0.0 if name == "error" else _ZERO))
