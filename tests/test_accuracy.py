@@ -268,3 +268,14 @@ def test_a_motion_past_an_undeclared_singularity_is_that_past_a_declared_one(tmp
     assert finest[0] > 1.5 * start[0]
     assert np.abs(hidden.position - told.position).max() < 1e-8
     assert np.abs(hidden.axis - told.axis).max() < 1e-8
+
+
+@pytest.mark.parametrize("k", [0.5, 2.0])
+def test_the_point_completion_is_not_believed_on_few_nodes(k: float) -> None:
+    """Its flow is nearly singular on the surface; six nodes err by a hundredth."""
+    body = accurate_body(Spheroid(k), 1e-6, completion="point", strict=False)
+    true = true_error(body.model)
+    assert true < 1e-4
+    assert true / 3.0 < body.model.error_estimate < 100.0 * true
+    with pytest.raises(ConvergenceError, match="exceeds the tolerance"):
+        accurate_body(Spheroid(0.2), 1e-6, completion="point")

@@ -253,11 +253,19 @@ def estimate_error(
     # The finer one errs as well, by less.
     quadrature = 1.5 * model_distance(body.model, by_panels.model, degree) - rounding
     truncation = 1.5 * model_distance(by_panels.model, by_order.model, degree) - rounding
+    # Of the finest panels, whose quadrature adds the least to the coefficients.
+    resolution = adjoint_tail(by_order.functional)
+    if completion == "point":
+        # The flow of a point in the body is no polynomial on its surface: only more nodes tell.
+        denser = replace(
+            higher, n_theta=scheme.n_theta + 4, expansion_order=higher.expansion_order + 4
+        )
+        other = _form(spheroid, denser, completion, DirectSolver, form_rows).model
+        resolution = max(resolution, 1.5 * model_distance(by_order.model, other, degree))
     return ErrorParts(
         quadrature=max(quadrature, 0.0),
         truncation=max(truncation, 0.0),
-        # Of the finest panels, whose quadrature adds the least to the coefficients.
-        resolution=adjoint_tail(by_order.functional),
+        resolution=resolution,
         solver=solver,
         rounding=rounding,
     )
