@@ -76,7 +76,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that start ranks run one after the other: two jobs of two ranks share no two cores."""
     for item in items:
-        if item.get_closest_marker("mpi"):
+        if item.get_closest_marker("mpi") or "mpirun" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.xdist_group("mpi"))
 
 
