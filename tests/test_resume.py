@@ -127,3 +127,66 @@ def test_an_interrupted_run_says_how_to_go_on(
     other = run_cli("case.yaml", *output, "--resume", "--set", "body.stokes_number=3")
     assert other.returncode == 2
     assert "another body.stokes_number" in other.stderr
+
+
+FIELD: dict[str, Any] = {
+    "task": "field",
+    "body": {"aspect_ratio": 0.5},
+    "flow": {"type": "shear"},
+    "checkpoint": {"every": "1e-6 s"},
+    "field": {
+        "plane": {"shape": [60, 50]},
+        "surface": {"shape": [5, 8]},
+        "streamlines": {"number": 2, "samples": 11},
+        "vtk": False,
+        "check": 2,
+    },
+}
+MOVING: dict[str, Any] = {
+    **{key: FIELD[key] for key in ("body", "flow", "checkpoint")},
+    "start": {"orientation": {"axis": [1, 1, 1]}},
+    "time": {"end": 3, "samples": 4},
+    "field": {**FIELD["field"], "every": 1},
+    "compare": {"reference": "none"},
+}
+
+
+class Stop(Exception):
+    """Stands for the end of the process."""
+
+
+@pytest.mark.parametrize("case", [FIELD, MOVING], ids=["field", "motion"])
+def test_a_field_goes_on_piece_by_piece(
+    case: dict[str, Any],
+    write_case: WriteCase,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from qbxstokes.cli.main import run_command
+    from qbxstokes.runs import field_work
+
+    monkeypatch.chdir(tmp_path)
+    path = str(write_case(case))
+    assert run_command([path, "--quiet", "--set", "output.file=whole.h5"]) == 0
+    work, done = field_work.FieldWork._do, [0]
+
+    def limited(self: Any, *arguments: Any) -> Any:
+        done[0] += 1
+        if done[0] % 3 == 0:
+            raise Stop
+        return work(self, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(field_work.FieldWork, "_do", limited)
+        stops = 0
+        while run_command([path, "--quiet", "--resume", "--set", "output.file=a.h5"]) != 0:
+            stops += 1
+            assert (tmp_path / "a.h5.parts").exists()
+    assert stops >= 2
+    whole, again = load(tmp_path / "whole.h5"), load(tmp_path / "a.h5")
+    assert done[0] < 4 * stops + 4  # nothing that was finished was done again
+    for name in whole.names:
+        np.testing.assert_array_equal(again[name], whole[name])
+    np.testing.assert_equal(again.groups["field"], whole.groups["field"])
+    assert again.summary["errors"] == whole.summary["errors"]
+    assert not (tmp_path / "a.h5.parts").exists()
