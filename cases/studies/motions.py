@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 import qbxstokes as qs
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
-from qbxstokes.reference import heavy
+from qbxstokes.reference import heavy, jeffery
 
 Array = Any
 
@@ -82,10 +82,10 @@ def averages(
     """
     k, stokes = moving.aspect_ratio, moving.stokes_number
     rate = float(np.linalg.norm(flow.gradient(position)))
-    if half_turn is None:
-        # The lightest take longest; without inertia of the rotation all turn as Jeffery says.
-        lightest = 0.0 if moving.inertia == "translation" else float(stokes.min()) * rate
-        half_turn = heavy.tumbling(k, lightest).half_turn / rate
+    if half_turn is None:  # of the lightest; all turn as Jeffery says without inertia of rotation
+        half_turn = 0.5 * jeffery.period(k, rate)
+        if moving.inertia != "translation":
+            half_turn = heavy.tumbling(k, float(stokes.min()) * rate).half_turn / rate
     if relaxed is None:
         relaxed = TRANSIENT * heavy.slowest_relaxation(k, float(stokes.max()))
     step = min(2.0 * math.pi / _SAMPLES, 0.6 * max(min(k, 1.0 / k), 0.02)) / rate
