@@ -135,7 +135,7 @@ def _computed(
         progress.close(todo.done + counters.read(handout.DONE), failed)
     counters.wait()
     counters.close()
-    made = job.provenance | {
+    about = {
         "identity": json.dumps(plan.identity),
         "shape": list(scenes.space.shape),
     }
