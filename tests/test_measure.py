@@ -18,7 +18,7 @@ from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.plots import style
 from qbxstokes.quantities import BODY
-from qbxstokes.runs.body import plan_body
+from qbxstokes.runs.plan import plan_body
 
 WriteCase = Callable[..., Path]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.quantities import BODY_COLUMNS
-from qbxstokes.runs.body import plan_body
+from qbxstokes.runs.plan import plan_body
 from qbxstokes.runs.scenes import Block, Scenes
 
 Indices = NDArray[np.int64]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,24 @@ from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
-from qbxstokes.io.store import Work
+from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.field_flow import FieldFlow
-from qbxstokes.runs.field_targets import chosen_instants, targets_of
+from qbxstokes.runs.field_targets import chosen_instants
 from qbxstokes.runs.field_work import FieldWork
+from qbxstokes.runs.gathering import seconds_between
+from qbxstokes.runs.identity import finished_result, identity_of
+from qbxstokes.runs.parallel import on_root
+from qbxstokes.runs.plan import plan_field
 from qbxstokes.runs.rows import ALONE, RowTeam
+from qbxstokes.runs.target import result_path
 from qbxstokes.simulation.around import Instant
 from qbxstokes.simulation.assembly import Assembled
-from qbxstokes.simulation.from_case import pointed, start_of
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 Array = NDArray[np.float64]
 
@@ -33,75 +40,65 @@ Array = NDArray[np.float64]
 FIELD = "field"
 
 
-@dataclass(frozen=True)
-class FieldPlan:
-    """The work of a field: where the body is, and which points."""
+def run_field(job: Job) -> dict[str, Any]:
+    """Carry out `task: field` on all ranks; returns the summary on all of them."""
+    comm, loaded = job.comm, job.loaded
+    identity = identity_of(loaded, [])
+    seconds_between(loaded)
+    own: list[Work] = []
 
-    position: Array
-    quaternion: Array
-    points: int
-    needs: tuple[str, ...]
-    skips: tuple[str, ...] = ()
+    def opened() -> tuple[Any, Path | None]:
+        resume, done = job.options.resume, None
+        if resume and not job.overwrite:
+            done = finished_result(loaded, identity)
+        if done is None:
+            asked = result_path(loaded)
+            own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
+            own[0].note_run()
+        return (own[0].joined(0) if own else None), done
 
-
-def plan_field(loaded: LoadedCase) -> FieldPlan:
-    """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
-    case = loaded.case
-    assert case.field is not None  # the schema requires it for this task
-    start = start_of(loaded)
-    with pointed(loaded):
-        start.check()
-    targets = targets_of(loaded, case.field)
-    points = sum(target.size for target in targets)
-    needs = [f"integral equation of a body that is {case.field.body}"]
-    if points:
-        parts = ", ".join(f"{target.name} {target.size}" for target in targets)
-        needs.append(f"fields at {points} points ({parts})")
-    for name in ("surface", "streamlines"):
-        if getattr(case.field, name) is not None:
-            needs.append({"surface": "traction on the body"}.get(name, name))
-    skips = []
-    if "stress" not in case.field.quantities and case.field.surface is None:
-        skips.append("stress: not asked for")
-    if case.field.tracers is not None and case.task == "field":
-        needs.append("paths of tracers around a body that stays in this state")
-    return FieldPlan(start.position[0], start.quaternion[0], points, tuple(needs), tuple(skips))
+    folder, done = on_root(comm, opened)
+    if done is not None:
+        return {"result": str(done), "finished_before": True}
+    try:
+        with compilation_told(comm, not job.options.quiet):
+            folder = own[0] if own else folder.joined(comm.rank)
+            summary = _computed(job, folder)
+    except BaseException:
+        folder.close(remove=not holds_work(folder.folder) and comm.rank == 0)
+        raise
+    folder.close(remove=comm.rank == 0)
+    return dict(comm.bcast(summary))
 
 
-def run_field(
-    comm: Any,
-    loaded: LoadedCase,
-    plan: FieldPlan,
-    folder: Work,
-    clock: Clock,
-    provenance: Mapping[str, Any],
-    overwrite: bool,
-) -> dict[str, Any]:
-    """Compute the field on all ranks; rank 0 writes the file. Returns the summary.
+def _computed(job: Job, folder: Work) -> dict[str, Any]:
+    """Compute the field on all ranks; rank 0 writes the file and returns the summary.
 
     folder: the working folder, held by rank 0.
     """
+    loaded, clock = job.loaded, job.clock
     case = loaded.case
     section = case.field
     assert section is not None
+    # The other ranks plan as rank 0 did, which has found nothing wrong.
+    start = (job.plan or plan_field(loaded)).simulation
     given = section.body != "free"
     instant = Instant(
         0.0,
-        plan.position,
-        plan.quaternion,
+        start.position[0],
+        start.quaternion[0],
         np.array(section.velocity) if given else None,
         np.array(section.angular_velocity) if given else None,
         np.array(section.force),
         np.array(section.torque),
     )
-    flow = FieldFlow(comm, loaded, section, clock)
-    work = FieldWork(comm, flow, [instant], folder)
+    flow = FieldFlow(job.comm, loaded, section, clock)
+    work = FieldWork(job.comm, flow, [instant], folder)
     target = folder.target
-    if comm.rank != 0:
+    if job.comm.rank != 0:
         work.write(None)
         return {}
-    replace = overwrite or case.output.overwrite
-    with ResultWriter(target, case.task, provenance, replace) as writer:
+    with ResultWriter(target, case.task, job.provenance, job.overwrite) as writer:
         facts = work.write(writer)
         around = flow.around(instant)
         disturbance = around.disturbance
@@ -114,9 +111,9 @@ def run_field(
         writer.append(
             {
                 "time": np.zeros(1),
-                "position": plan.position[None],
-                "orientation": plan.quaternion[None],
-                "axis": rotation.axis(plan.quaternion)[None],
+                "position": instant.position[None],
+                "orientation": instant.quaternion[None],
+                "axis": rotation.axis(instant.quaternion)[None],
                 "velocity": velocity[None],
                 "angular_velocity": spin[None],
                 "force": force[None],
@@ -143,7 +140,6 @@ def run_field(
         summary["files"] = export_field(loaded, clock, writer.file, target)
         summary["result"] = str(writer.finish(summary))
     summary["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
-    summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
 
 

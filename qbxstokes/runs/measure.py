@@ -21,8 +21,7 @@ from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, summarise
-from qbxstokes.runs.body import nodes_of, plan_body
-from qbxstokes.runs.plan import make_plan
+from qbxstokes.runs.plan import make_plan, plan_body
 from qbxstokes.runs.scenes import case_at
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
@@ -98,13 +97,14 @@ class Measurer:
 
     def _body(self, loaded: LoadedCase) -> dict[str, float]:
         """The columns of a body."""
-        plan, watch = plan_body(loaded), Stopwatch()
+        plan_body(loaded)  # refuses what cannot be computed
+        watch, in_flow = Stopwatch(), loaded.case.flow is not None
         for _ in range(self._scenes.turns):
             scene = start_of(loaded)
-            formed = watch.timed("setup", partial(form_law, scene, plan.in_flow, Workshop()))
+            formed = watch.timed("setup", partial(form_law, scene, in_flow, Workshop()))
             if self._poke():
                 raise Stopped
-        law = Law(scene, formed, plan.in_flow)
+        law = Law(scene, formed, in_flow)
         arrays = law.arrays
         resistance = vars(formed.model.resistance)
         found = {f"resistance_{name}": value for name, value in resistance.items()}
@@ -117,7 +117,7 @@ class Measurer:
         return found | {
             "error": _error(loaded, lambda: law.errors(arrays)),
             "setup_time": watch.median("setup"),
-            "nodes": float(nodes_of(report)),
+            "nodes": float(report["n_theta"] * report["n_phi"]),
         }
 
     def _motion(self, loaded: LoadedCase, result: BlockResult) -> dict[str, float]:

@@ -5,21 +5,20 @@ from __future__ import annotations
 import signal
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, Interrupted
+from qbxstokes.io.cache import open_cache
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
+from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.interrupt import Interruption
-from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
-from qbxstokes.runs.rows import RowTeam
+from qbxstokes.runs.rows import RowTeam, with_team
 from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed
@@ -27,18 +26,42 @@ from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
 from qbxstokes.simulation.watch import events_summary
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 
-def run_motion(
-    loaded: LoadedCase,
-    plan: Plan,
-    clock: Clock,
-    provenance: Mapping[str, Any],
-    recording: Recording,
-    interruption: Interruption,
-    workshop: Workshop,
-    team: RowTeam | None = None,
+def run_motion(job: Job) -> dict[str, Any]:
+    """Carry out `task: motion` of a single trajectory; returns the summary.
+
+    A single trajectory has nothing to share out: rank 0 computes it, so that any number of ranks
+    gives the numbers of one. Only the rows of the operators are formed by all, and its field.
+    """
+    comm, loaded = job.comm, job.loaded
+
+    def help_with_field(*arguments: Any) -> None:
+        from qbxstokes.runs import field
+
+        field.help_with_field(comm, loaded, job.clock, *arguments)
+
+    def compute(team: RowTeam) -> dict[str, Any]:
+        # Options of the solver want to be seen at work.
+        off = job.options.no_cache or bool(session.solver_options(job.PETSc))
+        workshop = Workshop(team, open_cache(loaded.case.hydrodynamics.cache, off))
+        options = session.stepper_options(job.PETSc)
+        recording = Recording(loaded, job.plan, options, job.options.resume, job.overwrite)
+        if recording.finished is not None:
+            return {"result": str(recording.finished), "finished_before": True}
+        try:
+            return _computed(job, recording, interruption, workshop, team)
+        finally:
+            recording.close()
+
+    with Interruption(patient=comm.rank != 0) as interruption:
+        return on_root(comm, with_team(comm, compute, {"field": help_with_field}))
+
+
+def _computed(
+    job: Job, recording: Recording, interruption: Interruption, workshop: Workshop, team: RowTeam
 ) -> dict[str, Any]:
     """Compute the motion on this process, write the result file, and return the summary.
 
@@ -46,8 +69,8 @@ def run_motion(
     field. Raises Interrupted where a signal asks for it, after what there is has been written and
     made safe, and ConvergenceError where the motion cannot be followed further, likewise.
     """
-    case = loaded.case
-    with clock.part("set-up"), pointed(loaded):
+    case, plan, clock = job.loaded.case, job.plan, job.clock
+    with clock.part("set-up"), pointed(job.loaded):
         assembled = plan.simulation.assemble(workshop, checked=True)
         events = assembled.watch()
     with clock.part("motion"):
@@ -73,38 +96,35 @@ def run_motion(
             raise _interrupted(recording, {}, interruption.signal)
     if case.field is not None:
         recording.save()  # a field may take longer than the motion
-    summary = _facts(loaded, plan, assembled, trajectory, events, recording)
+    summary = _facts(job, assembled, trajectory, events, recording)
     replace = recording.overwrite or recording.replaces(recording.target)
-    record = {**provenance, **recording.provenance}
+    record = {**job.provenance, **recording.provenance}
     with ResultWriter(recording.target, case.task, record, replace) as writer:
-        _conclude(loaded, plan, clock, recording, writer, summary, assembled, team)
+        _conclude(job, recording, writer, summary, assembled, team)
     if case.field is not None and summary["complete"]:
         from qbxstokes.runs.field import draw_pictures
 
-        summary["field"]["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
+        summary["field"]["files"] += draw_pictures(job.loaded, clock, Path(summary["result"]))
     recording.close(remove=trajectory.finished)
     if not trajectory.finished:
         raise _interrupted(recording, summary, interruption.signal)
     if trajectory.failure:
         raise ConvergenceError(f"{trajectory.failure}; {summary['result']} holds the motion so far")
-    summary["wall_times"] = {**clock.parts, "total": clock.total}
     return summary
 
 
 def _conclude(
-    loaded: LoadedCase,
-    plan: Plan,
-    clock: Clock,
+    job: Job,
     recording: Recording,
     writer: ResultWriter,
     summary: dict[str, Any],
     assembled: Assembled,
-    team: RowTeam | None,
+    team: RowTeam,
 ) -> None:
     """Samples, comparison, field and summary into the result file."""
-    case = loaded.case
+    loaded, case, clock = job.loaded, job.loaded.case, job.clock
     with clock.part("output"):
-        samples = recording.write(writer, plan.quantities)
+        samples = recording.write(writer, job.plan.quantities)
     times = samples["time"]
     summary["samples"] = recording.samples
     if len(times):
@@ -137,14 +157,10 @@ def _conclude(
 
 
 def _facts(
-    loaded: LoadedCase,
-    plan: Plan,
-    assembled: Assembled,
-    trajectory: Trajectory,
-    events: Events,
-    recording: Recording,
+    job: Job, assembled: Assembled, trajectory: Trajectory, events: Events, recording: Recording
 ) -> dict[str, Any]:
     """What the summary says of the computation itself."""
+    loaded, plan = job.loaded, job.plan
     case, body = loaded.case, assembled.hydrodynamics[0]
     return {
         "case": str(loaded.path),

@@ -1,8 +1,9 @@
-"""What a scene needs: decided before anything is computed, printed by `--explain`."""
+"""What each task needs: decided before anything is computed, printed by `--explain`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import MOTION
+from qbxstokes.runs.field_targets import targets_of
 from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
 
@@ -23,13 +25,26 @@ NO_ZEROS = "terms of the equations that are zero in this flow, for this body and
 
 @dataclass(frozen=True)
 class Plan:
-    """The work of one motion: scene, instants, what is stored, what is left out and why."""
+    """The work of a task: the body in its flow, what is needed, what is left out and why."""
 
     simulation: Simulation
+    needs: tuple[str, ...]
+    skips: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FieldPlan(Plan):
+    """The work of a field: how many points besides."""
+
+    points: int
+
+
+@dataclass(frozen=True)
+class MotionPlan(Plan):
+    """The work of one motion: instants and stored quantities besides."""
+
     times: Array
     quantities: tuple[str, ...]
-    needs: tuple[str, ...]
-    skips: tuple[str, ...] = field(default=())
 
     @property
     def period(self) -> float | None:
@@ -43,7 +58,17 @@ class Plan:
         return 8 * numbers * len(self.times)
 
 
-def make_plan(loaded: LoadedCase, pushed: bool = False) -> Plan:
+def plan_of(loaded: LoadedCase) -> Plan:
+    """The plan of the case's task; raises CaseError for what the schema alone cannot see."""
+    makers: dict[str, Callable[[LoadedCase], Plan]] = {
+        "motion": make_plan,
+        "body": plan_body,
+        "field": plan_field,
+    }
+    return makers[loaded.case.task](loaded)
+
+
+def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
     """Plan of `task: motion`; raises CaseError for what the schema alone cannot see.
 
     pushed: form the resistance, which others that share the body need, in any case.
@@ -66,7 +91,7 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> Plan:
                 )
         quantities = tuple(dict.fromkeys(case.output.fields))
     needs, skips = _work(case, scene.kind, loaded.flow.degree, scene.need(pushed).completion)
-    return Plan(scene, times, quantities, needs, skips)
+    return MotionPlan(scene, needs, skips, times, quantities)
 
 
 def subject_to_forces(case: Case) -> bool:
@@ -93,9 +118,7 @@ def _work(
         skips.append("azimuthal modes above 1: they exert neither force nor torque")
     if kind == "grid":
         needs.append("a grid as fine as the flow asks for wherever the body is")
-    skips.append("azimuths and southern half of the body: rotational and mirror symmetry give them")
-    if case.hydrodynamics.scheme == "graded" and case.hydrodynamics.expansion is None:
-        skips.append("outer expansions: inner ones and the jump give the surface values")
+    skips += _skips_of_body(case)
     driven = case.forces.given or case.constraints.given
     if kind == "table":
         skips.append(NO_ZEROS)
@@ -114,3 +137,55 @@ def _work(
     if case.compare.reference == "none":
         skips.append("comparison with a reference (as asked)")
     return tuple(needs), tuple(skips)
+
+
+def _skips_of_body(case: Case) -> Iterator[str]:
+    """What the operators of a body do without."""
+    yield "azimuths and southern half of the body: rotational and mirror symmetry give them"
+    if case.hydrodynamics.scheme == "graded" and case.hydrodynamics.expansion is None:
+        yield "outer expansions: inner ones and the jump give the surface values"
+
+
+def plan_body(loaded: LoadedCase) -> Plan:
+    """Plan of `task: body`; raises CaseError for what the schema alone cannot see."""
+    case, in_flow = loaded.case, loaded.case.flow is not None
+    with pointed(loaded):
+        scene = start_of(loaded)
+        if in_flow:
+            scene.check()
+    degree = loaded.flow.degree if in_flow else 3
+    known = "any flow" if degree is None or degree > 3 else f"flows of degree <= {max(1, degree)}"
+    needs = [f"resistance, and the law of free motion in {known}"]
+    if in_flow:
+        needs.append("velocities of the free body at its place, force and torque on the held one")
+    if scene.kind == "every_step":
+        needs.append("both by a solution of the integral equation each (as asked)")
+    skips = ["motion: nothing is integrated", *_skips_of_body(case)]
+    if case.compare.reference == "none":
+        skips.append("comparison with closed forms (as asked)")
+    return Plan(scene, tuple(needs), tuple(skips))
+
+
+def plan_field(loaded: LoadedCase) -> FieldPlan:
+    """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
+    case = loaded.case
+    assert case.field is not None  # the schema requires it for this task
+    start = start_of(loaded)
+    with pointed(loaded):
+        start.check()
+    targets = targets_of(loaded, case.field)
+    points = sum(target.size for target in targets)
+    needs = [f"integral equation of a body that is {case.field.body}"]
+    if points:
+        parts = ", ".join(f"{target.name} {target.size}" for target in targets)
+        needs.append(f"fields at {points} points ({parts})")
+    if case.field.surface is not None:
+        needs.append("traction on the body")
+    if case.field.streamlines is not None:
+        needs.append("streamlines")
+    skips = []
+    if "stress" not in case.field.quantities and case.field.surface is None:
+        skips.append("stress: not asked for")
+    if case.field.tracers is not None:
+        needs.append("paths of tracers around a body that stays in this state")
+    return FieldPlan(start, tuple(needs), tuple(skips), points)

@@ -26,7 +26,7 @@ from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, TIME, of_event
 from qbxstokes.runs.identity import finished_result, identity_of
-from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.runs.target import result_path
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
 from qbxstokes.simulation.compare import orbit_drift
@@ -55,7 +55,7 @@ class Recording:
     def __init__(
         self,
         loaded: LoadedCase,
-        plan: Plan,
+        plan: MotionPlan,
         options: list[str],
         resume: bool,
         overwrite: bool,

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
 
 if TYPE_CHECKING:
-    import argparse
-
-    from qbxstokes.case.load import LoadedCase
     from qbxstokes.io.result import Result
 
 WIDTH = 80
@@ -21,28 +18,6 @@ _WIDEST = 44
 _ROUNDING = 1e-13  # components below this share of the largest are rounding
 
 Rows = Iterable[tuple[str, str]]
-
-
-def tell_plan(
-    comm: Any,
-    loaded: LoadedCase,
-    options: argparse.Namespace,
-    text: Callable[[], str],
-    facts: Callable[[], dict[str, Any]],
-) -> bool:
-    """Print the plan, on rank 0 and where it is asked for; True if no more is (`--dry-run`)."""
-    if comm.rank == 0:
-        if not (options.quiet or options.json) and (options.explain or options.dry_run):
-            print(text())
-        elif options.json and options.dry_run:
-            print(json.dumps({"case": str(loaded.path), "plan": facts()}, indent=2))
-    return bool(options.dry_run)
-
-
-def headline(title: str, name: str) -> str:
-    """A title with the file's name at the right edge, or below it where both do not fit."""
-    gap = WIDTH - len(title) - len(name)
-    return f"{title}{' ' * gap}{name}" if gap >= 2 else f"{title}\n{name}"
 
 
 def section(heading: str, rows: Rows) -> str:
@@ -63,9 +38,14 @@ def section(heading: str, rows: Rows) -> str:
 
 
 def render(title: str, name: str, sections: Mapping[str, Rows]) -> str:
-    """The headline and all sections that hold something."""
+    """A title with the file's name at the right edge, or below it where both do not fit; sections.
+
+    Those that hold nothing are left out.
+    """
+    gap = WIDTH - len(title) - len(name)
+    headline = f"{title}{' ' * gap}{name}" if gap >= 2 else f"{title}\n{name}"
     parts = [section(heading, rows) for heading, rows in sections.items()]
-    return "\n".join([headline(title, name), *(part for part in parts if part)])
+    return "\n".join([headline, *(part for part in parts if part)])
 
 
 def quantity(value: float) -> str:
@@ -83,18 +63,14 @@ def vector(values: Iterable[float], scale: float = 0.0) -> str:
     return ", ".join(quantity(part if abs(part) > least else 0.0) for part in parts)
 
 
-def described_points(points: Mapping[str, int]) -> str:
-    """How many points of a field were evaluated in which way."""
-    return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
+def listed(lines: Iterable[str]) -> Rows:
+    """Rows without labels, one for each line."""
+    return (("", f"- {line}") for line in lines)
 
 
-def field_errors(errors: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Rows on the errors of a field, with what each of them is."""
-    what = {
-        "no slip": "largest slip on the surface, which bounds the error of the velocity",
-        "table against QBX": "two evaluations at points from the surface to far away",
-    }
-    return [(name, f"{error_text(value):9}{what[name]}") for name, value in errors.items()]
+def spent_text(times: Mapping[str, float]) -> str:
+    """Wall times by part."""
+    return ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
 
 
 def error_text(value: float) -> str:

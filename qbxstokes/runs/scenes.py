@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.space import Column, Key
 from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
-from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, Plan, make_plan, subject_to_forces
+from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
 
 Indices = NDArray[np.int64]
 
@@ -49,7 +49,7 @@ class Scene:
 
     number: int
     loaded: LoadedCase
-    plan: Plan
+    plan: MotionPlan
 
 
 @dataclass(frozen=True)

@@ -1,51 +1,71 @@
-"""The texts of a motion: its plan before the run, its summary after it."""
+"""The texts of a task: its plan before the run, its summary after it."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
-from math import isfinite
+from collections.abc import Iterator, Mapping
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from qbxstokes.case.constraints import FREE, LOCKED
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.runs.plan import Plan
+from qbxstokes.quantities import BODY
+from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
-    described_points,
     duration,
     error_text,
-    field_errors,
+    listed,
     quantity,
     render,
     size,
+    spent_text,
     vector,
 )
 from qbxstokes.runs.target import result_path
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
-
-
 _LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
+# Errors of a field, which has no reference but itself.
+_CHECKS = {
+    "no slip": "largest slip on the surface, which bounds the error of the velocity",
+    "table against QBX": "two evaluations at points from the surface to far away",
+}
 
 
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
-    """Body, flow and time in three rows."""
+    """Body and flow; where the body is, or what drives it and for how long."""
     case = loaded.case
-    stokes = case.body.stokes_number
-    end = f"0 to {quantity(float(plan.times[-1]))}"
+    shape, stokes = shape_text(case), case.body.stokes_number
+    if case.task == "motion":
+        shape += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
+    elif case.task == "field":
+        assert case.field is not None
+        shape += f", {case.field.body}"
+    yield "body", shape
+    if case.flow is not None:
+        yield "flow", flow_text(loaded)
+    if isinstance(plan, MotionPlan):
+        yield from _driven(case)
+        yield "time", _span(plan)
+    elif case.task == "body" and case.flow is not None:
+        place, turn = plan.simulation.position[0], plan.simulation.quaternion[0]
+        yield "place", f"({vector(place)}), quaternion ({vector(turn)})"
+
+
+def _span(plan: MotionPlan) -> str:
+    end = float(plan.times[-1])
+    text = f"0 to {quantity(end)}"
     if plan.period is not None:
-        periods = float(plan.times[-1]) / plan.period
-        end += f" ({counted(periods, 'Jeffery period')} of {quantity(plan.period)})"
-    mass = "massless" if stokes == 0 else f"St = {quantity(stokes)}"
-    yield "body", f"{shape_text(case)}, {mass}"
-    yield "flow", flow_text(loaded)
-    yield from _driven(case)
-    yield "time", f"{end}, {len(plan.times)} samples"
+        periods = counted(end / plan.period, "Jeffery period")
+        text += f" ({periods} of {quantity(plan.period)})"
+    return f"{text}, {len(plan.times)} samples"
 
 
 def shape_text(case: Case) -> str:
@@ -106,75 +126,130 @@ def _vector(value: Any) -> str:
 
 def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
     """The plan as plain data."""
-    return {
-        "hydrodynamics": plan.simulation.kind,
-        "end": float(plan.times[-1]),
-        "samples": len(plan.times),
-        "jeffery_period": plan.period,
+    facts: dict[str, Any] = {
         "needs": list(plan.needs),
         "skips": list(plan.skips),
         "output": str(target),
-        "bytes_on_disk": plan.bytes_on_disk,
     }
+    if isinstance(plan, FieldPlan):
+        facts |= {"points": plan.points}
+    if isinstance(plan, MotionPlan):
+        facts |= {
+            "hydrodynamics": plan.simulation.kind,
+            "end": float(plan.times[-1]),
+            "samples": len(plan.times),
+            "jeffery_period": plan.period,
+            "bytes_on_disk": plan.bytes_on_disk,
+        }
+    return facts
 
 
-def explain(loaded: LoadedCase, plan: Plan, target: Path) -> str:
-    """What the scene needs, what it skips, and where the result goes."""
-    text = render(
-        f"Plan: {loaded.case.title or loaded.case.task}",
-        str(loaded.path),
-        {
-            "Scene": scene(loaded, plan),
-            "Needs": [("", f"- {text}") for text in plan.needs],
-            "Skips": [("", f"- {text}") for text in plan.skips],
-            "Writes": [(str(target), f"about {size(plan.bytes_on_disk)} of samples")],
-        },
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
+    """What the task needs, what it skips, and where the result goes."""
+    writes = "", str(target)
+    if isinstance(plan, MotionPlan):
+        writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
+    sections: dict[str, Rows] = {
+        "Scene": scene(loaded, plan),
+        "Needs": listed(plan.needs),
+        "Skips": listed(plan.skips),
+        "Writes": [writes],
+    }
+    return (
+        render(f"Plan: {loaded.case.title or loaded.case.task}", str(loaded.path), sections) + "\n"
     )
-    return text + "\n"
 
 
 def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
-    """What was solved, what was skipped, errors, times, and the file."""
-    errors = [
-        (name.replace("_", " "), f"{error_text(value):9}against {summary['references'][name]}")
-        for name, value in summary["errors"].items()
-    ]
-    errors += field_errors(summary.get("field", {}).get("errors", {}))
-    if summary["note"]:
-        errors.append(("", summary["note"]))
+    """What was solved, what was found and skipped, errors, times, and the files."""
+    of_field = loaded.case.task == "field"
     times = summary["wall_times"]
-    spent = ", ".join(
-        f"{name} {duration(value)}" for name, value in times.items() if name != "total"
-    )
-    if times.get("comparison", 0.0) > max(_LONG, times["motion"]):
+    spent = spent_text(times)
+    if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
-    return render(
-        loaded.case.title or f"Task {loaded.case.task}",
-        str(loaded.path),
-        {
-            "Scene": scene(loaded, plan),
-            "Solved": _solved(summary),
-            "Found": _seen(summary),
-            "Skipped": [("", f"- {text}") for text in plan.skips],
-            "Errors": errors,
-            "Times": [("total", duration(times["total"])), ("parts", spent)],
-            "Result": result_rows(loaded, summary),
-        },
-    )
+    sections: dict[str, Rows] = {
+        "Scene": scene(loaded, plan),
+        "Solved": _field_solved(summary) if of_field else _solved(summary),
+        "Found": _seen(summary) if "events" in summary else _law(summary),
+        "Skipped": () if of_field else listed(plan.skips),
+        "Errors": _errors(summary),
+        "Times": [("total", duration(times["total"])), ("parts", spent)],
+        "Result": _files(loaded, summary),
+    }
+    return render(loaded.case.title or f"Task {loaded.case.task}", str(loaded.path), sections)
 
 
-def result_rows(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
+def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
+    """What standard error is told after a summary."""
+    time, compared = loaded.case.time, loaded.case.compare.tolerance
+    reachable = summary.get("integration", {}).get("reachable_error", 0.0)
+    if time is not None and reachable > 3.0 * time.tolerance:
+        yield (
+            f"time.tolerance {time.tolerance:g} is out of reach: rounding alone leaves "
+            f"an error of about {reachable:.0e} at the end"
+        )
+    found = summary.get("events", {})
+    if "ended_by" in found:
+        yield f"ended at t = {summary['end']:.6g}: {found['ended_because']}"
+    for name in summary["unused_petsc_options"]:
+        yield f"PETSc option -{name} was not used by anything"
+    if missed(loaded, summary):
+        yield f"largest error {summary['largest_error']:.1e} exceeds compare.tolerance {compared:g}"
+
+
+def missed(loaded: LoadedCase, summary: dict[str, Any]) -> bool:
+    """Whether an error exceeds `compare.tolerance`, or is not a number."""
+    limit = loaded.case.compare.tolerance
+    return limit is not None and not summary["largest_error"] <= limit
+
+
+def _errors(summary: dict[str, Any]) -> Rows:
+    references = summary.get("references", {})
+    for name, value in (summary["errors"] | summary.get("field", {}).get("errors", {})).items():
+        about = f"against {references[name]}" if name in references else _CHECKS[name]
+        yield name.replace("_", " "), f"{error_text(value):9}{about}"
+    if summary.get("note"):
+        yield "", summary["note"]
+
+
+def _files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
     """The files that were written."""
     yield "file", summary["result"]
-    for name in summary.get("field", {}).get("files", ()):
+    for name in summary.get("field", summary).get("files", ()):
         yield "", name
     asked = result_path(loaded)
     if Path(summary["result"]) != asked:
         yield "", f"({asked} exists and was kept; --overwrite replaces it)"
 
 
-def hydrodynamics_rows(summary: dict[str, Any]) -> Rows:
-    """How the body was formed, and its resistance."""
+def _field_solved(summary: dict[str, Any]) -> Rows:
+    hydro = summary["hydrodynamics"]
+    grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes"
+    work = f"{counted(hydro['solves'], 'solve')}, {counted(hydro['iterations'], 'iteration')}"
+    residual = f"true residual <= {error_text(hydro['true_residual'])}"
+    yield "integral equation", f"{grid}, {work}, {residual}"
+    yield "table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"
+    yield "points", _points(summary["points"])
+    for name in ("velocity", "angular_velocity", "force", "torque"):
+        yield name, vector(summary[name], summary["scales"][name])
+
+
+def _points(points: Mapping[str, int]) -> str:
+    """How many points of a field were evaluated in which way."""
+    return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
+
+
+def _law(summary: dict[str, Any]) -> Rows:
+    """The numbers of a body's law; in a flow, what the body does there."""
+    for name, about in BODY.items():
+        if name in summary and about.shape != (6, 6):
+            value = summary[name]
+            text = f"{value:.9g}" if np.ndim(value) == 0 else f"({vector(value)})"
+            yield name.replace("_", " "), text
+
+
+def _solved(summary: dict[str, Any]) -> Rows:
+    """How the body was formed, its resistance, and what the motion took."""
     hydro = summary["hydrodynamics"]
     grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes, order {hydro['expansion_order']}"
     yield "integral equation", f"{hydro['scheme']} QBX, {grid}"
@@ -200,12 +275,9 @@ def hydrodynamics_rows(summary: dict[str, Any]) -> Rows:
         )
         text = f"{across} across, {along} along the axis; rotation {turning}, {spinning}"
         yield "resistance", text
-
-
-def _solved(summary: dict[str, Any]) -> Rows:
-    steps = summary["integration"]
-    yield from hydrodynamics_rows(summary)
-    layer = summary["relaxation_times"]
+    if "integration" not in summary:
+        return
+    steps, layer = summary["integration"], summary["relaxation_times"]
     if layer:
         a, b, c, d = (quantity(value) for value in layer.values())
         yield "relaxation times", f"{a} across, {b} along; axis {c}, spin {d}"
@@ -217,7 +289,7 @@ def _solved(summary: dict[str, Any]) -> Rows:
         f"{steps['rhs_evaluations']} right-hand sides",
     )
     if "field" in summary:
-        yield "field", described_points(summary["field"]["points"])
+        yield "field", _points(summary["field"]["points"])
 
 
 def _estimate(hydro: Mapping[str, Any]) -> str:

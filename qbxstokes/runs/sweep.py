@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -10,7 +9,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep as store
@@ -18,7 +16,6 @@ from qbxstokes.io.names import check_writable
 from qbxstokes.io.store import Work, holds_work, open_work, unwritable
 from qbxstokes.runs import handout
 from qbxstokes.runs.bodies import Swept, swept_scenes
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.gathering import Gathering, seconds_between
 from qbxstokes.runs.handout import HandOut
@@ -38,32 +35,24 @@ _RESULT = "result.new"  # in the working folder, until it is whole
 
 def sweep_command(job: Job) -> int:
     """Carry out a case with a section `sweep`; returns the exit status."""
-    comm, loaded, options, clock = job.comm, job.loaded, job.options, job.clock
-    speak = comm.rank == 0 and not (options.quiet or options.json)
+    comm, loaded, options = job.comm, job.loaded, job.options
     if options.dry_run or options.explain:
         facts = on_root(comm, lambda: _dry_run(loaded, comm.size))
-        if comm.rank == 0 and options.json:
-            print(json.dumps(plain(facts), indent=2))
-        elif speak:
-            print(facts["text"])
+        job.tell(facts, lambda: str(facts["text"]))
         if options.dry_run:
             return 0
-    from qbxstokes.petsc import session
-    from qbxstokes.runs.provenance import start_petsc
+    job.start()
+    summary = run_sweep(job)
 
-    PETSc, record = start_petsc(comm, loaded, job.petsc, clock)
-    summary = run_sweep(comm, loaded, options, record, clock)
+    def text() -> str:
+        from qbxstokes.runs.sweep_report import summary_text
+
+        if summary["complete"]:
+            return f"{summary['result']}: complete, nothing to resume"
+        return summary_text(swept_scenes(loaded), summary)
+
+    job.conclude(summary, text)
     if comm.rank == 0:
-        summary["wall_times"] = {**clock.parts, "total": clock.total}
-        summary["unused_petsc_options"] = session.unused_options(PETSc)
-        if options.json:
-            print(json.dumps(plain(summary), indent=2))
-        elif speak and summary["complete"]:
-            print(f"{summary['result']}: complete, nothing to resume")
-        elif speak:
-            from qbxstokes.runs.sweep_report import summary_text
-
-            print(summary_text(swept_scenes(loaded), summary))
         for name in summary["unused_petsc_options"]:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
         tell_failures(summary)
@@ -92,46 +81,33 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
     }
 
 
-def run_sweep(
-    comm: Any,
-    loaded: LoadedCase,
-    options: argparse.Namespace,
-    provenance: dict[str, Any],
-    clock: Clock,
-) -> dict[str, Any]:
+def run_sweep(job: Job) -> dict[str, Any]:
     """Compute the sweep on all ranks and return its summary (on every rank)."""
-    from qbxstokes.petsc import session
+    from qbxstokes.petsc.session import stepper_options
 
+    loaded = job.loaded
     scenes = swept_scenes(loaded)
     seconds_between(loaded)
     layout = layout_of(scenes)
-    identity = identity_of(
-        loaded, session.stepper_options(session.start()), blocks=[scenes.block_size, scenes.blocks]
-    )
-    opening = Opening(scenes, layout, identity, options)
-    with clock.part("output"):
-        plan, todo, complete = on_root(comm, opening.open)
+    cut = [scenes.block_size, scenes.blocks]
+    identity = identity_of(loaded, stepper_options(job.PETSc), blocks=cut)
+    opening = Opening(scenes, layout, identity, job.options.resume, job.overwrite)
+    with job.clock.part("output"):
+        plan, todo, complete = on_root(job.comm, opening.open)
     if complete is not None:
         return {"result": str(complete), "complete": True, "failed": 0}
     try:
-        return _computed(comm, scenes, layout, options, provenance, clock, opening, plan, todo)
+        return _computed(job, scenes, layout, opening, plan, todo)
     except BaseException:
         opening.close()
         raise
 
 
 def _computed(
-    comm: Any,
-    scenes: Swept,
-    layout: store.Layout,
-    options: argparse.Namespace,
-    provenance: dict[str, Any],
-    clock: Clock,
-    opening: Opening,
-    plan: Work,
-    todo: Todo,
+    job: Job, scenes: Swept, layout: store.Layout, opening: Opening, plan: Work, todo: Todo
 ) -> dict[str, Any]:
     """What is to be done, done by all ranks and merged by rank 0."""
+    comm, options, clock = job.comm, job.options, job.clock
     work = plan.joined(comm.rank) if comm.rank else opening.work
     assert work is not None
     gathering = Gathering(comm, work, BLOCKS, joined=True, every=seconds_between(scenes.loaded))
@@ -159,13 +135,19 @@ def _computed(
         progress.close(todo.done + counters.read(handout.DONE), failed)
     counters.wait()
     counters.close()
-    made = provenance | {"identity": json.dumps(plan.identity), "shape": list(scenes.space.shape)}
+    about = {
+        "identity": json.dumps(plan.identity),
+        "shape": list(scenes.space.shape),
+    }
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
         if comm.rank:
             list(gathering.collect())
         return on_root(
-            comm, lambda: _merged(scenes, layout, gathering, opening, made, elapsed, comm.size)
+            comm,
+            lambda: _merged(
+                scenes, layout, gathering, opening, job.provenance | about, elapsed, comm.size
+            ),
         )
 
 
@@ -181,17 +163,17 @@ class Opening:
         scenes: Swept,
         layout: store.Layout,
         identity: dict[str, Any],
-        options: argparse.Namespace,
+        resume: bool,
+        overwrite: bool,
     ) -> None:
         self._scenes, self._layout, self._identity = scenes, layout, identity
-        self._options = options
-        self.overwrite = options.overwrite or scenes.loaded.case.output.overwrite
+        self._resume, self.overwrite = resume, overwrite
         self.work: Work | None = None
         self.base: Path | None = None
 
     def open(self) -> tuple[Work, Todo, Path | None]:
         """The folder for the other ranks, what is to be done, and a result without failures."""
-        asked, resume = result_path(self._scenes.loaded), self._options.resume
+        asked, resume = result_path(self._scenes.loaded), self._resume
         check_writable(asked, self.overwrite)
         done = None
         if resume and not self.overwrite:
