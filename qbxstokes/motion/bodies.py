@@ -34,9 +34,9 @@ class Bodies:
             raise ValueError(f"laws of one block must be of one class, not {sorted(kinds)}")
         self.kernels = KERNELS[kinds.pop()]
         self.table = self.models.table(lambda entry: self.kernels.pack_body(entry, driven))
-        self.law, self.mobility, self.gyration = self.kernels.unpack_body(self.table.tolist())
-        if not self.models.shared:
-            self.law, self.mobility, self.gyration = self.kernels.unpack_body(list(self.table))
+        # Plain numbers, or a row of each for the lanes.
+        numbers = self.table.tolist() if self.models.shared else list(self.table)
+        self.law, self.mobility, self.gyration = self.kernels.unpack_body(numbers)
         self.resistance = self._columns(lambda entry: _resistance(entry, driven))
         self.inertia = self._columns(_inertia)
         self.slenderness: Array = self._columns(_slenderness)

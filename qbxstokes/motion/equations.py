@@ -2,7 +2,9 @@
 
 State of a body: (x, q), 7 numbers, for St = 0; (x, q, V, W), 13 numbers, for St > 0 (`layout`).
 Arrays of states are (n_lanes, n_state) for the user and (n_state, n_lanes) in `rates` and
-`jacobian`, which is how the kernels sweep them.
+`jacobian`, which is how the kernels sweep them. A lane has one body here; bodies that feel each
+other need equations of their own, with a `layout` of several bodies in a lane and Jacobians of
+whole lanes, which the integrator takes as they are.
 
 The hydrodynamics enter through the free motion (U, Omega), the one without force and torque. Drag
 is linear, F = R_t (U - V), so that loads only shift the motion that the drag pulls to:
@@ -57,17 +59,18 @@ COMPILED_EVALUATIONS_OF_FEW = 1_000
 
 
 class RigidBodyEquations(Reported):
-    """dy/dt and its Jacobian for `n_lanes` bodies; see the module's text for the equations.
+    """dy/dt and its Jacobian for `n_lanes` lanes; see the module's text for the equations.
 
-    model: the body model that all share. flow: a polynomial flow (degree <= 3), whose free motion
-    follows from the model's Faxen coefficients, or any provider with `free_motion`; a provider
-    with `force_torque` is asked for the force itself when St > 0. stokes_number: a number or (n,),
-    all zero or all positive. inertia: of translation and rotation "both", or of one of them alone
-    (St > 0); the other follows the flow.
+    model: the body model that all lanes share, or a sequence with one for each, of one class of
+    laws. flow: a polynomial flow (degree <= 3), whose free motion follows from the model's Faxen
+    coefficients, or any provider with `free_motion`; a provider with `force_torque` is asked for
+    the force itself when St > 0; or a sequence with one for each lane, all polynomial or none.
+    stokes_number: a number or (n_lanes,), all zero or all positive. inertia: of translation and
+    rotation "both", or of one of them alone (St > 0); the other follows the flow.
     """
 
     def repeated(self, count: int) -> RigidBodyEquations:
-        """The equations of `count` times the same bodies: many instants as many bodies.
+        """The equations of `count` times the same lanes: many instants as many lanes.
 
         Only where nothing depends on time (`steady`).
         """

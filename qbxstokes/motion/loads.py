@@ -15,7 +15,7 @@ Vectors = ArrayLike | Callable[[float], ArrayLike]
 
 @dataclass(frozen=True)
 class Loads:
-    """External force and torque on the bodies: arrays (3,) or (n, 3), or functions of time.
+    """External force and torque on the bodies: arrays (3,) or (n_lanes, 3), or functions of time.
 
     force and torque are given in the space frame; body_force and body_torque in the body frame,
     in which they stay fixed. Units mu c^2/tau and mu c^3/tau.
@@ -40,7 +40,7 @@ class Loads:
 class Constraints:
     """Prescribed parts of the motion, None where it is free.
 
-    velocity and angular_velocity are given in the space frame as arrays (3,) or (n, 3) or
+    velocity and angular_velocity are given in the space frame as arrays (3,) or (n_lanes, 3) or
     functions of time; zero locks. For St > 0 the prescribed part of the state keeps its initial
     value and is not read.
     """
@@ -75,7 +75,7 @@ def _tiled(vectors: Any, count: int) -> Any:
 
 
 class LoadRows:
-    """The loads of a block as the kernels take them: (12, columns), see `kernels.driven_motion`."""
+    """The loads of a block as the kernels take them: (12, columns), see `drag.driven_motion`."""
 
     def __init__(self, loads: Loads, columns: int) -> None:
         self.rows: Array = np.zeros((12, columns))
