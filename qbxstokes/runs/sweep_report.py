@@ -38,7 +38,7 @@ def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ra
                 "Skips": [("", f"- {text}") for text in scenes.skips],
                 "Needs": [
                     ("memory", f"about {size(estimate.memory)} on each rank"),
-                    ("disk", f"{size(layout.bytes)} for {target}"),
+                    ("disk", f"{size(layout.bytes)} for {target}, and as much again while it runs"),
                     (
                         "time",
                         f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
