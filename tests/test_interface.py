@@ -89,6 +89,11 @@ def test_inertial_motion_starts_where_it_is_told():
     assert motion.steps > 0
 
 
+def test_what_moved_is_told_with_its_new_place():
+    with pytest.raises(CaseError, match=r"belongs to the body; qs\.Body\(0\.5, stokes_number"):
+        qs.Body(0.5).integrate(qs.flow("shear"), [1.0], stokes_number=5.0)
+
+
 def test_wrong_shapes_are_named():
     with pytest.raises(CaseError, match=r"position has shape \(2,\)"):
         qs.Body(0.5).free_motion(qs.flow("shear"), position=[0, 1])

@@ -280,6 +280,7 @@ class Body:
         loads: Loads | None = None,
         constraints: Constraints | None = None,
         tolerance: float = 1e-10,
+        stokes_number: None = None,
     ) -> Motion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
@@ -292,6 +293,9 @@ class Body:
         >>> bool(np.allclose(orbit.axis[-1], [0.6, 0, 0.8]))
         True
         """
+        if stokes_number is not None:
+            right = f"qs.Body({self.aspect_ratio:g}, stokes_number=...).integrate(...)"
+            raise SceneError("stokes_number", "belongs to the body", right)
         return Simulation(
             self,
             flow,
