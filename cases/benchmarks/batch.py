@@ -88,7 +88,9 @@ def main(small: bool = False) -> dict[str, Rows]:
     for row in rows:
         rival = next((loop for loop in scipy if loop["error"] <= row["error"]), scipy[-1])
         row |= {"rival": rival["method"], "ratio": row["trajectories"] / rival["trajectories"]}
-    return {"batch": [*(loop | {"rival": None, "ratio": 1.0} for loop in scipy), *rows]}
+    used = {row["rival"] for row in rows}
+    kept = [loop | {"rival": None, "ratio": 1.0} for loop in scipy if loop["method"] in used]
+    return {"batch": [*kept, *rows]}
 
 
 if __name__ == "__main__":
