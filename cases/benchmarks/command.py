@@ -74,18 +74,13 @@ def main(small: bool = False) -> dict[str, Rows]:
         actions = {n: partial(run, words, Path(name)) for n, words in commands.items()}
         actions["a run"]()
         ended = turns(actions, 1 if small else 5)
-    times = {name: median(process.time for process in ended[name]) for name in commands}
-    return {
-        "command": [
-            {
-                "command": name,
-                "time": span,
-                "ratio": span / times["bare imports"],
-                "memory": max(process.memory for process in ended[name]),
-            }
-            for name, span in times.items()
-        ]
-    }
+    rows: Rows = []
+    for name, processes in ended.items():
+        span = median(process.time for process in processes)
+        ratio = span / rows[0]["time"] if rows else 1.0
+        memory = max(process.memory for process in processes)
+        rows.append({"command": name, "time": span, "ratio": ratio, "memory": memory})
+    return {"command": rows}
 
 
 if __name__ == "__main__":

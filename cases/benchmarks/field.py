@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
-from measure import Rows, command
+from measure import Rows, command, timed
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import choose_scheme
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 
 VELOCITY = np.array([1.0, -2.0, 0.5])
 SPEED = float(np.linalg.norm(VELOCITY))
-NODES, MOST = 8, 32  # polar nodes; upsampling that is tried
+NODES = 8  # along a meridian
 
 
 def translating(k: float, tolerance: float, problem: str) -> Disturbance:
@@ -65,22 +66,10 @@ def accuracy(ratios: tuple[float, ...], tolerances: tuple[float, ...], targets: 
         begin = time.perf_counter()
         found = translating(k, tolerance, problem).evaluate(points, tolerance)[0]
         seconds = time.perf_counter() - begin
-        row = {"k": k, "problem": problem, "tolerance": tolerance, "targets": targets}
         error = float(np.abs(found - exact).max()) / SPEED
-        rows.append(row | {"error": error, "seconds": seconds})
+        row = {"k": k, "problem": problem, "tolerance": tolerance, "error": error}
+        rows.append(row | {"seconds": seconds})
     return rows
-
-
-def microseconds(function: Callable[[Array], Any], points: Array) -> float:
-    """Time of one point, of as many of them as a tenth of a second allows."""
-    count = 1
-    while True:
-        begin = time.perf_counter()
-        function(points[:count])
-        seconds = time.perf_counter() - begin
-        if count >= len(points) or seconds > 0.1:
-            return 1e6 * seconds / count
-        count = min(4 * count, len(points))
 
 
 def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...]) -> Rows:
@@ -90,29 +79,26 @@ def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...])
     theta, phi = np.arccos(rng.uniform(-1, 1, 512)), rng.uniform(0, 2 * np.pi, 512)
     body = translating(k, 1e-12, "resistance")
     table, potentials = body.table, body.potentials
+
+    def cost(function: Callable[..., Any], *more: Any) -> float:
+        return 1e6 * timed(partial(function, points, *more), 5)[0] / len(points)
+
     for distance, tolerance in product(distances, tolerances):
         points = spheroid.surface(theta, phi) + distance * spheroid.normal(theta, phi)
-        exact = translating_flow(k, points[:8], VELOCITY)[0]
-        limit = tolerance * body.scale
-        used = potentials.evaluate(points[:1], tolerance)[3]
-        row = {
-            "distance": distance,
-            "tolerance": tolerance,
-            "table": microseconds(lambda x, to=0.1 * limit: table.evaluate(x, True, to), points),
-            "quadrature": microseconds(lambda x, to=tolerance: potentials.evaluate(x, to), points),
-            "method": ("plain", "graded", "expansion")[int(used[0])],
-            "upsampling": None,
-            "plain": None,
-        }
-        upsampling = 1
-        while upsampling <= MOST:
+        few, limit = points[:8], tolerance * body.scale
+        exact = translating_flow(k, few, VELOCITY)[0]
+        row = {"distance": distance, "tolerance": tolerance}
+        row["table"] = cost(table.evaluate, True, 0.1 * limit)
+        row |= {"plain": None, "upsampling": None}
+        for upsampling in (1, 2, 4, 8, 16, 32):
             rule = plain_rule(upsampling * NODES, 2 * upsampling * NODES)
-            if np.abs(potentials.by_rule(points[:8], rule) - exact).max() <= limit:
-                row["upsampling"] = upsampling
-                row["plain"] = microseconds(lambda x, by=rule: potentials.by_rule(x, by), points)
+            if np.abs(potentials.by_rule(few, rule) - exact).max() <= limit:
+                row |= {"plain": cost(potentials.by_rule, rule), "upsampling": upsampling}
                 break
-            upsampling *= 2
-        rows.append(row)
+        used = int(potentials.evaluate(few[:1], tolerance)[3][0])
+        points = few if used == 2 else points  # the slowest
+        row["quadrature"] = cost(potentials.evaluate, tolerance)
+        rows.append(row | {"method": ("plain", "graded", "expansion")[used]})
     return rows
 
 

@@ -23,13 +23,8 @@ from qbxstokes.petsc import session
 from qbxstokes.reference import inertial, jeffery
 
 # Aspect ratio and Stokes number.
-ORBITS = {
-    "massless": (0.5, 0.0),
-    "inertial": (0.5, 1.0),
-    "thin": (0.05, 0.0),
-    "heavy": (2.0, 100.0),
-    "stiff": (0.5, 0.1),
-}
+ORBITS = {"massless": (0.5, 0.0), "inertial": (0.5, 1.0), "thin": (0.05, 0.0)}
+ORBITS |= {"heavy": (2.0, 100.0), "stiff": (0.5, 0.1)}
 METHODS = ("8vr", "5dp", "bdf", "arkimex", "rosw")
 MOST_EVALUATIONS = 50_000
 AXIS = np.array([0.48, 0.6, 0.64])

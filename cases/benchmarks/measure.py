@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import inspect
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,10 +18,7 @@ SECONDS = 0.05  # spent on one timing of what is quick
 
 def command(main: Callable[[bool], dict[str, Rows]]) -> None:
     """`[--small] [--csv]` of a script, whose `main(small)` makes the rows of tables by name."""
-    plain = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        description=inspect.getmodule(main).__doc__, formatter_class=plain
-    )
+    parser = argparse.ArgumentParser(description=(main.__globals__["__doc__"] or "").split("\n")[0])
     parser.add_argument("--small", action="store_true", help="a look: few sizes, no repeats")
     parser.add_argument("--csv", action="store_true", help="write each table to TABLE.csv as well")
     options = parser.parse_args()

@@ -35,8 +35,7 @@ from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
 from qbxstokes.reference import jeffery
 
 Work = Callable[[], Any]
-# Bodies of a block; right-hand sides timed together, since one alone is too short.
-BLOCK, CALLS = 512, 1000
+BLOCK, CALLS = 512, 1000  # bodies of a block, right-hand sides timed together
 Q = rotation.normalize(np.array([[0.8, 0.3, -0.4, 0.33]]))
 
 
@@ -89,18 +88,15 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     state = equations.initial_state(x[0], Q[0])
     solve.free_motion(0.0, x, Q)
 
-    def motion(provider: Any) -> Any:
-        return np.concatenate(provider.free_motion(0.0, x, Q))
-
-    by_solve, by_grid = partial(motion, solve), partial(motion, grid)
-    yield "integral equation at a step", by_solve, by_grid
+    ways = (partial(way.free_motion, 0.0, x, Q) for way in (solve, grid))
     table = partial(equations.velocities, 0.0, state)
-    yield "flow on the surface at a step", by_grid, lambda: np.concatenate(table())
+    by_solve, by_grid, by_table = (lambda w=way: np.array(w()) for way in (*ways, table))
+    yield "integral equation at a step", by_solve, by_grid
+    yield "flow on the surface at a step", by_grid, by_table
     law, _, _ = fore_aft.unpack_body(fore_aft.pack_body(model, True))
     constants = unpack_flow(pack_flow(Shear()).tolist()), law, None, None
     general = many(lambda t, rows: fore_aft.massless(*rows, *constants), state)
-    specialised = many(equations.rate_of_rows, state)
-    yield "terms that are zero at a right-hand side", general, specialised
+    yield "terms that are zero at a right-hand side", general, many(equations.rate_of_rows, state)
     ball = plain_body(Spheroid(1.0), scheme).model
     laws = ball.faxen.quadratic, ball.faxen.cubic
 
@@ -110,8 +106,8 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
         return many(equations.rate_of_rows, equations.initial_state((0.3, 2.0, 0.0), Q[0]))
 
     kept = FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))
-    name = "axis of a sphere at a right-hand side"
-    yield name, sphere(kept), sphere(FaxenCoefficients(0.0, *laws))
+    sphere_without = sphere(FaxenCoefficients(0.0, *laws))
+    yield "axis of a sphere at a right-hand side", sphere(kept), sphere_without
     for stokes_number in (0.0, 10.0):
         moving, still = (partial(turned, model, stokes_number, u) for u in (1e-300, 0.0))
         moving(), still()  # compile what a fresh machine has not

@@ -47,15 +47,9 @@ def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
     d3 = s * (q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
     half = 0.5 * shape
     a, b, c = -half * d3 * d1, half * d3 * d2, -0.5 + half * (d1 * d1 - d2 * d2)
-    return (
-        x2,
-        0.0,
-        0.0,
-        -0.5 * (a * q1 + b * q2 + c * q3),
-        0.5 * (a * q0 + b * q3 - c * q2),
-        0.5 * (b * q0 + c * q1 - a * q3),
-        0.5 * (c * q0 + a * q2 - b * q1),
-    )
+    p0, p1 = -0.5 * (a * q1 + b * q2 + c * q3), 0.5 * (a * q0 + b * q3 - c * q2)
+    p2, p3 = 0.5 * (b * q0 + c * q1 - a * q3), 0.5 * (c * q0 + a * q2 - b * q1)
+    return x2, 0.0, 0.0, p0, p1, p2, p3
 
 
 def closed_form_inertial(
@@ -77,46 +71,26 @@ def closed_form_inertial(
     o1, o2, o3 = -half * d3 * d1, half * d3 * d2, -0.5 + half * (d1 * d1 - d2 * d2)
     e1 = x2 - v1
     slip, spin = (along - across) * (e1 * d1 - v2 * d2 - v3 * d3), gyration * w3
-    return (
-        v1,
-        v2,
-        v3,
-        -0.5 * (q1 * w1 + q2 * w2 + q3 * w3),
-        0.5 * (q0 * w1 + q2 * w3 - q3 * w2),
-        0.5 * (q0 * w2 + q3 * w1 - q1 * w3),
-        0.5 * (q0 * w3 + q1 * w2 - q2 * w1),
-        across * e1 + slip * d1,
-        -across * v2 + slip * d2,
-        -across * v3 + slip * d3,
-        turning * (s * (a1 * o1 + 2.0 * (a2 * o2 + a3 * o3)) - w1) - spin * w2,
-        turning * (s * (b2 * o2 + 2.0 * (b1 * o1 + b3 * o3)) - w2) + spin * w1,
-        spinning * (d1 * o1 + d2 * o2 + d3 * o3 - w3),
-    )
+    p0, p1 = -0.5 * (q1 * w1 + q2 * w2 + q3 * w3), 0.5 * (q0 * w1 + q2 * w3 - q3 * w2)
+    p2, p3 = 0.5 * (q0 * w2 + q3 * w1 - q1 * w3), 0.5 * (q0 * w3 + q1 * w2 - q2 * w1)
+    f1, f2, f3 = across * e1 + slip * d1, -across * v2 + slip * d2, -across * v3 + slip * d3
+    m1 = turning * (s * (a1 * o1 + 2.0 * (a2 * o2 + a3 * o3)) - w1) - spin * w2
+    m2 = turning * (s * (b2 * o2 + 2.0 * (b1 * o1 + b3 * o3)) - w2) + spin * w1
+    m3 = spinning * (d1 * o1 + d2 * o2 + d3 * o3 - w3)
+    return v1, v2, v3, p0, p1, p2, p3, f1, f2, f3, m1, m2, m3
 
 
 class Given(RigidBodyEquations):
-    """Equations of motion with their rates given."""
+    """Equations of motion whose `given` makes the rates of rows."""
 
-    given: Callable[[list[float]], Any]
-
-    @property
-    def rate_of_rows(self) -> Callable[[float, Any], Any]:
-        """The given rates."""
-        given = self.given
-        return lambda t, rows: given(rows)
+    rate_of_rows = property(lambda self: self.given)
 
 
 def rates(equations: RigidBodyEquations, y: list[float], bodies: int = 1) -> Callable[[], Any]:
     """The right-hand side of every body of a block in the state y."""
-    rate = equations.rate_function()
-    state = np.repeat(np.array(y)[:, None], bodies, axis=1)
+    rate, state = equations.rate_function(), np.repeat(np.array(y)[:, None], bodies, axis=1)
     out = np.empty_like(state)
-
-    def action() -> Any:
-        rate(0.0, state, out)
-        return out
-
-    return action
+    return lambda: rate(0.0, state, out) or out
 
 
 def alone(repeats: int) -> Rows:
@@ -133,8 +107,8 @@ def alone(repeats: int) -> Rows:
         return solvers[-1]
 
     def compiled(bodies: int) -> Callable[[], Any]:
-        model, way = body.model, {"evaluation": "compiled"}
-        return rates(RigidBodyEquations(model, Shear(), 0.0, bodies, **way), y, bodies)
+        equations = RigidBodyEquations(body.model, Shear(), 0.0, bodies, evaluation="compiled")
+        return rates(equations, y, bodies)
 
     plain = RigidBodyEquations(body.model, Shear()).rate_of_rows
     grid = GridMotion(body.functional.on_grid(6), Shear())
@@ -164,19 +138,16 @@ def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
     from qbxstokes.petsc.stepper import integrate
 
     model = exact_model(K)
-    ways: dict[str, RigidBodyEquations] = {
-        "closed form": (closed := Given(model, Shear(), stokes_number, evaluation="plain")),
-        "table, plain Python": RigidBodyEquations(
-            model, Shear(), stokes_number, evaluation="plain"
-        ),
-        "table, compiled": RigidBodyEquations(model, Shear(), stokes_number, evaluation="compiled"),
-    }
-    closed.given = partial(closed_form, shape=SHAPE)
+    closed = Given(model, Shear(), stokes_number, evaluation="plain")
+    ways: dict[str, RigidBodyEquations] = {"closed form": closed}
+    for way in ("plain", "compiled"):
+        ways[f"table, {way}"] = RigidBodyEquations(model, Shear(), stokes_number, evaluation=way)
+    closed.given = lambda t, y: closed_form(y, SHAPE)
     if stokes_number:
         drag = tuple(closed.relaxation_rates[:, 0].tolist())
         j1, _, j3 = Spheroid(K).inertia.tolist()
-        more = {"shape": SHAPE, "drag": drag, "gyration": (j3 - j1) / j1}
-        closed.given = partial(closed_form_inertial, **more)
+        gyration = (j3 - j1) / j1
+        closed.given = lambda t, y: closed_form_inertial(y, SHAPE, drag, gyration)
     start = closed.initial_state(np.zeros(3), QUATERNION)
     exact = np.array(closed.rate_of_rows(0.0, start[0].tolist()))
     counts: dict[str, int] = {}
