@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,8 @@ def made(tmp_path: Path) -> h5py.File:
     """A result of three instants with a growing number of points inside."""
     file = h5py.File(tmp_path / "result.h5", "w")
     sets = {"plane": (5, 4), "box": (3, 3, 2), "points": (3,)}
-    places = store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
-    file.flush()
-    sizes = {name: int(np.prod(shape)) for name, shape in sets.items()}
-    rows, group = store.FieldRows(tmp_path / "result.h5", places, sizes), file["field"]
+    store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
+    group = file["field"]
     rng = np.random.default_rng(0)
     for step in range(3):
         for name, shape in sets.items():
@@ -54,8 +53,7 @@ def made(tmp_path: Path) -> h5py.File:
                 "inside": np.arange(n) < step,
                 "source": np.zeros(n),
             }
-            rows.put(name, step, 0, block)
-    rows.close()
+            store.put_rows(group[name], step, 0, block)
     store.put_arrays(group, "streamlines", {"points": rng.normal(size=(3, 4, 7, 3))}, {})
     surface = {"points": rng.normal(size=(3, 20, 3)), "traction": rng.normal(size=(3, 20, 3))}
     store.put_arrays(group, "surface", surface, {"shape": np.array([4, 5])})
@@ -222,19 +220,22 @@ def test_lines_alone_need_no_points(write_case, tmp_path, monkeypatch):
     assert 0.0 < result.summary["errors"]["no slip"] < 1e-12
 
 
-@pytest.mark.parametrize("call", ["posix_fallocate", "pwrite"])
-def test_a_full_disk_ends_a_field_in_one_line(call, write_case, tmp_path, monkeypatch, capfd):
+@pytest.mark.parametrize("claimed", [True, False], ids=["claimed", "written"])
+def test_a_full_disk_ends_a_field_in_one_line(claimed, write_case, tmp_path, monkeypatch, capfd):
+    """It is full when room is claimed, or, where the file system claims none, when rows come."""
     path = write_case(CASE)
     monkeypatch.chdir(tmp_path)
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with monkeypatch.context() as patch:
-        patch.setattr(os, call, full)
-        assert run_command([path.name, "--quiet"]) == 1
+        if not claimed:
+            patch.setattr(os, "posix_fallocate", lambda *_: None)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, limits[1]))
+        try:
+            assert run_command([path.name, "--quiet"]) == 1
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     told = capfd.readouterr().err.splitlines()
-    reason = os.strerror(errno.ENOSPC)
+    reason = os.strerror(errno.EFBIG)
     assert told == [f"qbxstokes: case.h5: cannot be written ({reason})"]
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["case.yaml"]
 
