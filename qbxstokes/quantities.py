@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 
 _XYZ = ("1", "2", "3")
-_QUATERNION = ("0", *_XYZ)
-_ANGLES = ("phi", "theta", "psi")
+_ANGLES, _ANGLE_SYMBOLS = ("phi", "theta", "psi"), (r"\varphi", r"\theta", r"\psi")
 _PAIRS = ("11", "22", "33", "12", "13", "23")
 
 
@@ -69,23 +68,36 @@ class Quantity:
         ] or [self]
 
 
-def _vector(name: str, symbol: str, units: str, description: str, frame: str = "space") -> Quantity:
-    return Quantity(name, symbol, units, description, frame, (3,), _XYZ)
+def _table(text: str) -> dict[str, Quantity]:
+    """Quantities by name, one a line: name, symbol, units, description, kind and label.
+
+    A line that begins with a space goes on with the last one.
+    kind: nothing for a number, one of `_KINDS`, or "mean" for a vector of mean values.
+    """
+    found = {}
+    for line in text.replace("\n ", " ").strip().splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        name, symbol, units, description, kind, label = cells + [""] * (6 - len(cells))
+        frame, shape, components, parts = _KINDS.get(kind, ("space", (3,), _XYZ, ()))
+        if kind == "mean":
+            parts = tuple(rf"\langle {symbol}_{i}\rangle" for i in _XYZ)
+            symbol = rf"\langle {symbol}\rangle"
+        found[name] = Quantity(
+            name, symbol, units, description, frame, shape, components, parts, label
+        )
+    return found
 
 
-def _quaternion(name: str, description: str) -> Quantity:
-    return Quantity(name, "q", "1", description, "body to space", (4,), _QUATERNION)
-
-
-def _mean(name: str, symbol: str, units: str, description: str) -> Quantity:
-    parts = tuple(rf"\langle {symbol}_{i}\rangle" for i in _XYZ)
-    whole = rf"\langle {symbol}\rangle"
-    return Quantity(name, whole, units, description, "space", (3,), _XYZ, parts)
-
-
-def _named(*quantities: Quantity) -> dict[str, Quantity]:
-    return {quantity.name: quantity for quantity in quantities}
-
+_KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]] = {
+    "": ("", (), (), ()),
+    "vector": ("space", (3,), _XYZ, ()),
+    "quaternion": ("body to space", (4,), ("0", *_XYZ), ()),
+    "angles": ("body to space", (3,), _ANGLES, _ANGLE_SYMBOLS),
+    "tensor": ("space", (6,), _PAIRS, tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS)),
+    "matrix": ("body", (6, 6), (), ()),
+    "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
+    "four": ("", (4,), ("0", "1", "2", "3"), ()),
+}
 
 TIME = Quantity("time", "t", "tau", "instants of the samples")
 INSTANT = Quantity("time", "t", "tau", "instants of the field")
@@ -93,44 +105,28 @@ TRAJECTORY = Quantity("trajectory", "", "1", "number of the trajectory")
 SAMPLE = Quantity("sample", "", "1", "number of the sample")
 
 # Of a motion, at every sample.
-MOTION = _named(
-    _vector("position", "x", "c", "centre of the body"),
-    _quaternion("orientation", "unit quaternion, scalar first"),
-    _vector("axis", "D^3", "1", "symmetry axis D3"),
-    _vector("velocity", "V", "c/tau", "velocity of the centre"),
-    _vector("angular_velocity", r"\Omega", "1/tau", "angular velocity"),
-    _vector("force", "F", "mu c^2/tau", "hydrodynamic force on the body"),
-    _vector("torque", "M", "mu c^3/tau", "hydrodynamic torque on the body"),
-    Quantity(
-        "euler_angles",
-        r"\mathrm{angle}",
-        "rad",
-        "phi, theta, psi of R3 R1 R3",
-        "body to space",
-        (3,),
-        _ANGLES,
-        (r"\varphi", r"\theta", r"\psi"),
-    ),
-    Quantity(
-        "orbit_constant",
-        "C",
-        "1",
-        "Jeffery's orbit constant in the shear at the start: infinite when tumbling",
-    ),
-)
+MOTION = _table(r"""
+position         | x      | c          | centre of the body                | vector
+orientation      | q      | 1          | unit quaternion, scalar first     | quaternion
+axis             | D^3    | 1          | symmetry axis D3                  | vector
+velocity         | V      | c/tau      | velocity of the centre            | vector
+angular_velocity | \Omega | 1/tau      | angular velocity                  | vector
+force            | F      | mu c^2/tau | hydrodynamic force on the body    | vector
+torque           | M      | mu c^3/tau | hydrodynamic torque on the body   | vector
+euler_angles     | \mathrm{angle} | rad | phi, theta, psi of R3 R1 R3      | angles
+orbit_constant | C | 1 | Jeffery's orbit constant in the shear at the start: infinite when tumbling
+""")
 
 # Of an event, in the order in which they are recorded; half-turns have some more.
-EVENT = _named(
-    Quantity("time", "t", "tau", "instant of the event"),
-    MOTION["position"],
-    MOTION["axis"],
-    MOTION["velocity"],
-    Quantity("orbit_constant", "C", "1", "orbit constant in the shear at the start of the motion"),
-)
-HALF_TURN = EVENT | _named(
-    Quantity("period", "T", "tau", "time since the last half-turn but one"),
-    _vector("drift", r"\Delta x", "c", "displacement since the last half-turn but one"),
-)
+EVENT = {
+    **_table("time | t | tau | instant of the event"),
+    **{name: MOTION[name] for name in ("position", "axis", "velocity")},
+    **_table("orbit_constant | C | 1 | orbit constant in the shear at the start of the motion"),
+}
+HALF_TURN = EVENT | _table(r"""
+period | T         | tau | time since the last half-turn but one
+drift  | \Delta x  | c   | displacement since the last half-turn but one | vector
+""")
 
 
 def of_event(name: str) -> dict[str, Quantity]:
@@ -139,220 +135,127 @@ def of_event(name: str) -> dict[str, Quantity]:
 
 
 # Of the flow around a body: what may be asked for, what every point has, what its surface has.
-FLUID = _named(
-    _vector("velocity", "u", "c/tau", "velocity of the fluid"),
-    _vector("disturbance_velocity", "u'", "c/tau", "velocity minus that of the background flow"),
-    Quantity("pressure", "p", "mu/tau", "pressure, with that of the background flow"),
-    Quantity(
-        "stress",
-        r"\sigma",
-        "mu/tau",
-        "stress tensor",
-        "space",
-        (6,),
-        _PAIRS,
-        tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS),
-    ),
-)
-POINT = _named(
-    _vector("points", "x", "c", "points"),
-    Quantity("inside", "", "1", "point in the body"),
-    Quantity("source", "", "1", "0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body"),
-)
-SURFACE = _named(
-    _vector("traction", "f", "mu/tau", "force of the fluid on the body per area"),
-    _vector("normals", "n", "1", "outward unit normals"),
-)
+FLUID = _table(r"""
+velocity             | u      | c/tau  | velocity of the fluid                          | vector
+disturbance_velocity | u'     | c/tau  | velocity minus that of the background flow     | vector
+pressure             | p      | mu/tau | pressure, with that of the background flow
+stress               | \sigma | mu/tau | stress tensor                                  | tensor
+""")
+POINT = _table("""
+points | x | c | points                                                                | vector
+inside |   | 1 | point in the body
+source |   | 1 | 0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body
+""")
+SURFACE = _table("""
+traction | f | mu/tau | force of the fluid on the body per area | vector
+normals  | n | 1      | outward unit normals                    | vector
+""")
 
 # Of a whole trajectory: what the table of a sweep says after the swept values.
-SUMMARY = _named(
-    Quantity("period", "T", "tau", "twice the mean time of a half-turn of the axis"),
-    Quantity(
-        "period_change",
-        r"\Delta T/T",
-        "1",
-        "period over the later half of the half-turns minus earlier, relative",
-    ),
-    Quantity("half_turns", "", "1", "whole half-turns of the axis that averages are taken over"),
-    Quantity(
-        "rotation_rate",
-        r"\langle\Omega\rangle",
-        "1/tau",
-        "mean rate of the axis about the vorticity's direction",
-        label=r"mean rotation rate $\langle\Omega\rangle$",
-    ),
-    _mean("mean_velocity", "V", "c/tau", "mean velocity over whole half-turns"),
-    _mean(
-        "velocity_change",
-        r"\Delta V",
-        "c/tau",
-        "mean velocity over the later half-turns minus the earlier",
-    ),
-    Quantity(
-        "orbit_constant_start",
-        "C",
-        "1",
-        "orbit constant in the local shear at the first sample",
-        label="orbit constant $C$ at the start",
-    ),
-    Quantity(
-        "orbit_constant_end",
-        "C",
-        "1",
-        "orbit constant in the local shear at the last sample",
-        label="orbit constant $C$ at the end",
-    ),
-    Quantity(
-        "orbit_drift",
-        r"\mathrm{d}\ln C/\mathrm{d}t",
-        "1/tau",
-        "mean rate of the logarithm of the orbit constant",
-    ),
-    Quantity(
-        "jeffery_period",
-        "T",
-        "tau",
-        "Jeffery's period in the gradient at the start",
-        label="Jeffery's period $T$",
-    ),
-    Quantity("end", "t", "tau", "last instant", label="last instant $t$"),
-    _vector("final_position", "x", "c", "position at the end"),
-    _quaternion("final_orientation", "orientation quaternion at the end"),
-    _vector("final_velocity", "V", "c/tau", "velocity at the end"),
-    _vector("final_angular_velocity", r"\Omega", "1/tau", "angular velocity at the end, in space"),
-    Quantity("steps", "", "1", "steps of its block"),
-    Quantity(
-        "rhs_evaluations",
-        "",
-        "1",
-        "right-hand sides of its block, each for every trajectory in it",
-        label="right-hand sides",
-    ),
-    Quantity(
-        "error_estimate",
-        "",
-        "1",
-        "error accepted in the integration, and the body model's over time",
-    ),
-    Quantity("wall_time", "", "s", "wall time of its block over the number of trajectories in it"),
-)
-# The same with one number per name, as the table has it.
-COLUMNS = _named(*(column for quantity in SUMMARY.values() for column in quantity.columns()))
+SUMMARY = _table(r"""
+period          | T          | tau | twice the mean time of a half-turn of the axis
+period_change | \Delta T/T | 1
+   | period over the later half of the half-turns minus earlier, relative
+half_turns      |            | 1   | whole half-turns of the axis that averages are taken over
+rotation_rate | \langle\Omega\rangle | 1/tau
+  | mean rate of the axis about the vorticity's direction
+  | | mean rotation rate $\langle\Omega\rangle$
+mean_velocity | V | c/tau | mean velocity over whole half-turns | mean
+velocity_change | \Delta V | c/tau | mean velocity over the later half-turns minus the earlier
+   | mean
+orbit_constant_start | C | 1 | orbit constant in the local shear at the first sample
+   || orbit constant $C$ at the start
+orbit_constant_end | C | 1 | orbit constant in the local shear at the last sample
+   || orbit constant $C$ at the end
+orbit_drift | \mathrm{d}\ln C/\mathrm{d}t | 1/tau | mean rate of the logarithm of the orbit constant
+jeffery_period  | T | tau | Jeffery's period in the gradient at the start || Jeffery's period $T$
+end             | t | tau | last instant || last instant $t$
+final_position         | x      | c     | position at the end                    | vector
+final_orientation      | q      | 1     | orientation quaternion at the end      | quaternion
+final_velocity         | V      | c/tau | velocity at the end                    | vector
+final_angular_velocity | \Omega | 1/tau | angular velocity at the end, in space  | vector
+steps           |  | 1 | steps of its block
+rhs_evaluations | | 1 | right-hand sides of its block, each for every trajectory in it
+   || right-hand sides
+error_estimate  |  | 1 | error accepted in the integration, and the body model's over time
+wall_time       |  | s | wall time of its block over the number of trajectories in it
+""")
+
+
+def _columns(quantities: dict[str, Quantity]) -> dict[str, Quantity]:
+    """The same with one number per name, as a table has it."""
+    return {column.name: column for whole in quantities.values() for column in whole.columns()}
+
+
+COLUMNS = _columns(SUMMARY)
 
 # Of a body without a motion: its law, in a flow what it does there, and what forming it took.
-BODY = _named(
-    Quantity(
-        "resistance",
-        "R",
-        "mu c, mu c^3",
-        "force and torque on the body are -R (velocity, angular velocity)",
-        "body",
-        (6, 6),
-    ),
-    Quantity(
-        "mobility",
-        "M",
-        "1/(mu c), 1/(mu c^3)",
-        "(velocity, angular velocity) are M (force, torque) from outside",
-        "body",
-        (6, 6),
-    ),
-    Quantity("linear", r"\lambda", "1", "Omega = w/2 + linear D3 x (E D3) in a linear flow"),
-    Quantity(
-        "quadratic",
-        "q",
-        "c^2",
-        "coefficients of the free velocity's second derivatives of the flow",
-        "",
-        (5,),
-        ("0", "1", "2", "3", "4"),
-    ),
-    Quantity(
-        "cubic",
-        "c",
-        "c^2",
-        "coefficients of the free angular velocity's third derivatives of the flow",
-        "",
-        (4,),
-        ("0", "1", "2", "3"),
-    ),
-    _vector("free_velocity", "U", "c/tau", "velocity of the free body"),
-    _vector("free_angular_velocity", r"\Omega", "1/tau", "angular velocity of the free body"),
-    _vector("held_force", "F", "mu c^2/tau", "force on the body held fixed"),
-    _vector("held_torque", "M", "mu c^3/tau", "torque on the body held fixed"),
-)
-_RESISTANCE = (
-    *(("translation", direction, "mu c") for direction in ("transverse", "axial")),
-    *(("rotation", direction, "mu c^3") for direction in ("transverse", "axial")),
-)
-_SETUP_TIME = Quantity(
-    "setup_time", "", "s", "time to form the body: the median where measured", label="set-up time"
-)
-_ITERATIONS = Quantity("iterations", "", "1", "GMRES iterations of all solves")
-_ERROR = Quantity("error", "", "1", "largest error against closed forms and references")
+BODY = _table(r"""
+resistance | R | mu c, mu c^3 | force and torque on the body are -R (velocity, angular velocity)
+   | matrix
+mobility | M | 1/(mu c), 1/(mu c^3)
+   | (velocity, angular velocity) are M (force, torque) from outside | matrix
+linear     | \lambda | 1   | Omega = w/2 + linear D3 x (E D3) in a linear flow
+quadratic  | q | c^2 | coefficients of the free velocity's second derivatives of the flow | five
+cubic | c | c^2 | coefficients of the free angular velocity's third derivatives of the flow | four
+free_velocity         | U      | c/tau      | velocity of the free body         | vector
+free_angular_velocity | \Omega | 1/tau      | angular velocity of the free body | vector
+held_force            | F      | mu c^2/tau | force on the body held fixed      | vector
+held_torque           | M      | mu c^3/tau | torque on the body held fixed     | vector
+""")
+_FORMING = _table(r"""
+setup_time | | s | time to form the body: the median where measured || set-up time
+iterations | | 1 | GMRES iterations of all solves
+error      | | 1 | largest error against closed forms and references
+""")
 # Of a measured trajectory, besides and in the place of the other columns.
-MEASURED = _named(
-    Quantity("wall_time", "", "s", "wall time of the motion, without set-up: the median"),
-    _SETUP_TIME,
-    Quantity("rejected", "", "1", "rejected steps"),
-    _ITERATIONS,
-    _ERROR,
-)
-BODY_COLUMNS = _named(
-    *(
-        Quantity(
-            f"resistance_{motion}_{direction}",
-            rf"R^{{\mathrm{{{motion[0]}}}}}_{{{'1' if direction == 'transverse' else '3'}}}",
-            units,
-            f"resistance to {motion}, {direction}",
-            label=f"resistance to {motion}, {direction}",
-        )
-        for motion, direction, units in _RESISTANCE
-    ),
-    *(
-        column
-        for quantity in BODY.values()
-        if len(quantity.shape) < 2
-        for column in quantity.columns()
-    ),
-    Quantity("error_estimate", "", "1", "estimated error of resistance and free motion, relative"),
-    _ERROR,
-    _ITERATIONS,
-    Quantity("true_residual", "", "1", "largest true residual of the solves, relative"),
-    _SETUP_TIME,
-    Quantity("n_theta", r"n_\vartheta", "1", "nodes along a meridian", label=r"$n_\vartheta$"),
-    Quantity("n_phi", r"n_\phi", "1", "nodes around the axis", label=r"$n_\phi$"),
-    Quantity("expansion_order", "p", "1", "order of the expansions"),
-    Quantity("nodes", "", "1", "nodes on the surface"),
-)
+MEASURED = {
+    **_table("wall_time | | s | wall time of the motion, without set-up: the median"),
+    "setup_time": _FORMING["setup_time"],
+    **_table("rejected | | 1 | rejected steps"),
+    "iterations": _FORMING["iterations"],
+    "error": _FORMING["error"],
+}
+BODY_COLUMNS = {
+    **_table(r"""
+resistance_translation_transverse | R^{\mathrm{t}}_{1} | mu c
+   | resistance to translation, transverse || resistance to translation, transverse
+resistance_translation_axial | R^{\mathrm{t}}_{3} | mu c | resistance to translation, axial
+   || resistance to translation, axial
+resistance_rotation_transverse | R^{\mathrm{r}}_{1} | mu c^3 | resistance to rotation, transverse
+   || resistance to rotation, transverse
+resistance_rotation_axial | R^{\mathrm{r}}_{3} | mu c^3 | resistance to rotation, axial
+   || resistance to rotation, axial
+"""),
+    **_columns({name: BODY[name] for name in BODY if len(BODY[name].shape) < 2}),
+    **_table("error_estimate | | 1 | estimated error of resistance and free motion, relative"),
+    "error": _FORMING["error"],
+    "iterations": _FORMING["iterations"],
+    **_table("true_residual | | 1 | largest true residual of the solves, relative"),
+    "setup_time": _FORMING["setup_time"],
+    **_table(r"""
+n_theta         | n_\vartheta | 1 | nodes along a meridian  | | $n_\vartheta$
+n_phi           | n_\phi      | 1 | nodes around the axis   | | $n_\phi$
+expansion_order | p           | 1 | order of the expansions
+nodes           |             | 1 | nodes on the surface
+"""),
+}
 
-STATUS = _named(
-    Quantity("status", "", "", "0 missing, 1 done, 2 failed"),
-    Quantity("reason", "", "", "why it failed"),
-)
+STATUS = _table("""
+status | | | 0 missing, 1 done, 2 failed
+reason | | | why it failed
+""")
 
 # Of a case: keys that have a symbol, by their names in the table of a sweep.
-PARAMETER = _named(
-    Quantity("aspect_ratio", "k", "1", "k = a/c, equatorial over polar radius"),
-    Quantity(
-        "stokes_number",
-        r"\mathrm{St}",
-        "1",
-        "St, particle inertia over viscous force",
-        label=r"Stokes number $\mathrm{St}$",
-    ),
-    *(
-        Quantity(
-            f"start_euler_{angle}",
-            f"{symbol}_0",
-            "rad",
-            f"{angle} at the start",
-            label=f"${symbol}$ at the start",
-        )
-        for angle, symbol in zip(_ANGLES, MOTION["euler_angles"].parts, strict=True)
-    ),
-    Quantity("upsampling", r"\kappa", "1", "factor of the finer grid"),
-)
+PARAMETER = _table(r"""
+aspect_ratio      | k            | 1   | k = a/c, equatorial over polar radius
+stokes_number | \mathrm{St} | 1 | St, particle inertia over viscous force
+   || Stokes number $\mathrm{St}$
+start_euler_phi   | \varphi_0    | rad | phi at the start   || $\varphi$ at the start
+start_euler_theta | \theta_0     | rad | theta at the start || $\theta$ at the start
+start_euler_psi   | \psi_0       | rad | psi at the start   || $\psi$ at the start
+upsampling        | \kappa       | 1   | factor of the finer grid
+""")
 
 
 _COLUMN = MEASURED | BODY_COLUMNS | COLUMNS | PARAMETER
