@@ -39,10 +39,8 @@ def made(tmp_path: Path) -> h5py.File:
     """A result of three instants with a growing number of points inside."""
     file = h5py.File(tmp_path / "result.h5", "w")
     sets = {"plane": (5, 4), "box": (3, 3, 2), "points": (3,)}
-    places = store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
-    file.flush()
-    sizes = {name: int(np.prod(shape)) for name, shape in sets.items()}
-    rows, group = store.FieldRows(tmp_path / "result.h5", places, sizes), file["field"]
+    store.create(file, np.array([0.0, 0.5, 2.0]), sets, ["velocity", "stress"])
+    group = file["field"]
     rng = np.random.default_rng(0)
     for step in range(3):
         for name, shape in sets.items():
@@ -54,8 +52,7 @@ def made(tmp_path: Path) -> h5py.File:
                 "inside": np.arange(n) < step,
                 "source": np.zeros(n),
             }
-            rows.put(name, step, 0, block)
-    rows.close()
+            store.put_rows(group[name], step, 0, block)
     store.put_arrays(group, "streamlines", {"points": rng.normal(size=(3, 4, 7, 3))}, {})
     surface = {"points": rng.normal(size=(3, 20, 3)), "traction": rng.normal(size=(3, 20, 3))}
     store.put_arrays(group, "surface", surface, {"shape": np.array([4, 5])})

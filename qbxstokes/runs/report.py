@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import argparse
 
     from qbxstokes.case.load import LoadedCase
-    from qbxstokes.io.result import Result
+    from qbxstokes.io.results import Result
 
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider
