@@ -15,6 +15,7 @@ import pytest
 from qbxstokes.cli.main import run_command
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
+from qbxstokes.io import writer
 from qbxstokes.io.results import load
 from qbxstokes.io.vtkhdf import export
 
@@ -219,7 +220,7 @@ def test_lines_alone_need_no_points(write_case, tmp_path, monkeypatch):
     assert 0.0 < result.summary["errors"]["no slip"] < 1e-12
 
 
-@pytest.mark.parametrize("call", ["posix_fallocate", "pwrite"])
+@pytest.mark.parametrize("call", ["posix_fallocate", "write"])
 def test_a_full_disk_ends_a_field_in_one_line(call, write_case, tmp_path, monkeypatch, capfd):
     path = write_case(CASE)
     monkeypatch.chdir(tmp_path)
@@ -227,8 +228,15 @@ def test_a_full_disk_ends_a_field_in_one_line(call, write_case, tmp_path, monkey
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    def lost(stream: Any, data: Any) -> int:
+        stream.failure = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return memoryview(data).nbytes
+
     with monkeypatch.context() as patch:
-        patch.setattr(os, call, full)
+        if call == "write":
+            patch.setattr(writer._PatientFile, "write", lost)
+        else:
+            patch.setattr(os, call, full)
         assert run_command([path.name, "--quiet"]) == 1
     told = capfd.readouterr().err.splitlines()
     reason = os.strerror(errno.ENOSPC)
