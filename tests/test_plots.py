@@ -17,8 +17,7 @@ from qbxstokes.cli.main import run_command
 from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.geometry import rotation
-from qbxstokes.io.result import Result
-from qbxstokes.io.results import load
+from qbxstokes.io.results import Result, load
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Frames, animate

@@ -111,11 +111,9 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")
     parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
-    for flag in ("explain", "dry-run", "overwrite", "resume", "quiet", "json", "version", "help"):
+    flags = "explain dry-run overwrite resume no-cache quiet json version help table write"
+    for flag in flags.split():
         parser.add_argument(f"--{flag}", action="store_true")
-    parser.add_argument("--no-cache", action="store_true")
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--write", action="store_true")
     return parser.parse_intermixed_args(list(own))
 
 
@@ -257,7 +255,7 @@ def _schema(options: argparse.Namespace, words: Sequence[str]) -> int:
 
 def _doctor(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Look at the environment; exit status 1 if something is wrong."""
-    from qbxstokes.cli.doctor import examine
+    from qbxstokes.cli.doctor import examine, report
 
     if words:
         raise CaseError(f"command line: {words[0]}: doctor takes no file")
@@ -265,8 +263,6 @@ def _doctor(options: argparse.Namespace, words: Sequence[str]) -> int:
     if options.json:
         print(json.dumps([finding.__dict__ for finding in findings], indent=2))
     else:
-        from qbxstokes.cli.doctor import report
-
         print(report(findings))
     return 0 if all(finding.ok for finding in findings) else 1
 

@@ -11,9 +11,7 @@ from typing import Any, NoReturn
 
 from qbxstokes.case.space import column_name, parse_key
 from qbxstokes.errors import CaseError
-from qbxstokes.io.result import Result
-from qbxstokes.io.results import load
-from qbxstokes.io.sweep_result import SweepResult
+from qbxstokes.io.results import Result, SweepResult, load
 
 PLOT_USAGE = """\
 usage: python -m qbxstokes plot FILE ... [options]

@@ -48,11 +48,6 @@ def describe(data: h5py.Dataset, about: Quantity) -> None:
         data.attrs["components"] = list(about.components)
 
 
-def place(data: h5py.Dataset) -> int:
-    """Where the numbers of a dataset begin in its file."""
-    return int(data.id.get_offset())
-
-
 def reserve(path: Path) -> None:
     """Claim the room of a file on the disk, so that no part finds it full later; raises OSError."""
     descriptor = os.open(path, os.O_WRONLY)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, OutputError
-from qbxstokes.io.names import numbered, parts_of
+from qbxstokes.io.names import free_name, numbered, parts_of
 
 Array = NDArray[Any]
 
@@ -195,9 +195,8 @@ class Work:
     def note_run(self) -> None:
         """Write down what this run is: from now on it may be gone on with."""
         told = {"run": self.run, "identity": self.identity, "mends": self.mends}
-        text = json.dumps(told)
         try:
-            write_whole(self.folder / RUN, text.encode())
+            write_whole(self.folder / RUN, json.dumps(told).encode())
         except OSError as error:
             raise unwritable(self.folder, error) from None
 
@@ -286,7 +285,7 @@ def open_work(
                 return _reopened(name, wanted)
             if not name.exists():
                 break
-    target = asked if overwrite else next(n for n in numbered(asked) if not os.path.lexists(n))
+    target = asked if overwrite else free_name(asked)
     work = Work(target, wanted, 1).hold()
     for name in dict.fromkeys([asked, target]):
         folder = parts_of(name)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import OutputError, ResultFileError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
-from qbxstokes.io.places import place, placed_dataset, reserve, write_at
+from qbxstokes.io.places import placed_dataset, reserve, write_at
 from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:
@@ -174,10 +174,8 @@ class WholeFile:
 
     def write_column(self, name: str, first: int, values: Array) -> None:
         """Entries of a one-dimensional dataset from `first` on."""
-        data = np.ascontiguousarray(values)
-        write_at(
-            self._descriptor, data.tobytes(), self._offsets[name] + first * data.dtype.itemsize
-        )
+        offset = self._offsets[name] + first * values.dtype.itemsize
+        write_at(self._descriptor, values.tobytes(), offset)
 
     def write_total(self, name: str, value: float) -> None:
         """A number of the whole sweep."""
@@ -197,36 +195,31 @@ class WholeFile:
     def read_rows(self, rows: Array) -> dict[str, Array]:
         """What stands in the rows (m,), as `write_rows` takes it."""
         found = {"table": self.read_table(rows)}
-        for name in self._row:
-            if name == "table":
-                continue
-            parts = []
-            for start, stop in runs(rows):
-                offset = self._offsets[name] + int(rows[start]) * self._row[name]
-                parts.append(os.pread(self._descriptor, (stop - start) * self._row[name], offset))
+        for name in self._row.keys() - {"table"}:
             shape = MOTION[name].shape if name in MOTION else ()
-            data = np.frombuffer(b"".join(parts))
+            data = np.frombuffer(self._bytes(name, rows))
             found[name] = data.reshape(len(rows), self._layout.samples, *shape)
         return found
 
     def read_table(self, rows: Array) -> Array:
         """Rows of the table."""
-        size, parts = self._row["table"], []
-        for start, stop in runs(rows):
-            offset = self._offsets["table"] + int(rows[start]) * size
-            parts.append(os.pread(self._descriptor, (stop - start) * size, offset))
-        return np.frombuffer(b"".join(parts), dtype=self._layout.dtype)
+        return np.frombuffer(self._bytes("table", rows), dtype=self._layout.dtype)
+
+    def _bytes(self, name: str, rows: Array) -> bytes:
+        size, begin = self._row[name], self._offsets[name]
+        return b"".join(
+            os.pread(self._descriptor, (stop - start) * size, begin + int(rows[start]) * size)
+            for start, stop in runs(rows)
+        )
 
     def flush(self) -> None:
         """Bring everything to the disk."""
         os.fsync(self._descriptor)
 
     def __enter__(self) -> WholeFile:
-        """The file itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
         os.close(self._descriptor)
 
 
@@ -254,7 +247,7 @@ def _offsets(file: h5py.File) -> dict[str, int]:
 
     totals = {f"summary/{name}": item for name, item in file["summary"].items()}
     return {
-        name: place(item)
+        name: int(item.id.get_offset())
         for name, item in {**file, **totals}.items()
         if isinstance(item, h5py.Dataset)
     }

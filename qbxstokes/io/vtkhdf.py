@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
+_POLYGONAL = ("Vertices", "Lines", "Polygons", "Strips")
+_OFFSETS = ("PointOffsets", "CellOffsets", "ConnectivityIdOffsets")
 _VERTEX, _QUAD, _HEXAHEDRON = 1, 9, 12
 _ORDER_OF_STRESS = (0, 1, 2, 3, 5, 4)  # ours: 11 22 33 12 13 23; ParaView's: 11 22 33 12 23 13
 
@@ -114,41 +116,36 @@ class _Part:
     def __init__(self, group: h5py.Group, polygonal: bool) -> None:
         self.group = group
         self.polygonal = polygonal
-        self.offsets: dict[str, list[Any]] = {"points": [], "cells": [], "connectivity": []}
-        self.points = self.cells = self.connectivity = 0
+        self.offsets: dict[str, list[Any]] = {name: [] for name in _OFFSETS}
+        self.held = dict.fromkeys(_OFFSETS, 0)
         self.data: list[str] = []
         if polygonal:
-            for kind in ("Vertices", "Lines", "Polygons", "Strips"):
+            for kind in _POLYGONAL:
                 group.create_group(kind)
 
     def add(self, points: Array, cells: Array, kind: int, data: Mapping[str, Array]) -> None:
         """Append one step."""
         group = self.group
-        self.offsets["points"].append(self.points)
+        begin: dict[str, Any] = dict(self.held)
         self._extend(group, "NumberOfPoints", np.array([len(points)]))
         self._extend(group, "Points", points)
         if self.polygonal:
-            used = "Lines" if kind == 0 else "Polygons"
-            column = 1 if kind == 0 else 2
-            for name in ("Vertices", "Lines", "Polygons", "Strips"):
-                these = cells if name == used else np.zeros((0, 1), dtype=np.int64)
+            used = _POLYGONAL.index("Lines" if kind == 0 else "Polygons")
+            for column, name in enumerate(_POLYGONAL):
+                these = cells if column == used else np.zeros((0, 1), dtype=np.int64)
                 self._topology(group[name], these)
-            for key, value in (("cells", self.cells), ("connectivity", self.connectivity)):
-                row = [0, 0, 0, 0]
-                row[column] = value
-                self.offsets[key].append(row)
+            for key in ("CellOffsets", "ConnectivityIdOffsets"):
+                begin[key] = [begin[key] if column == used else 0 for column in range(4)]
         else:
-            self.offsets["cells"].append(self.cells)
-            self.offsets["connectivity"].append(self.connectivity)
             self._topology(group, cells)
             self._extend(group, "Types", np.full(len(cells), kind, dtype=np.uint8))
         inner = group.require_group("PointData")
         for name, values in data.items():
             self._extend(inner, name, values)
         self.data = list(data)
-        self.points += len(points)
-        self.cells += len(cells)
-        self.connectivity += cells.size
+        for key, more in zip(_OFFSETS, (len(points), len(cells), cells.size), strict=True):
+            self.offsets[key].append(begin[key])
+            self.held[key] += more
 
     def _topology(self, group: h5py.Group, cells: Array) -> None:
         self._extend(group, "NumberOfCells", np.array([len(cells)]))
@@ -181,10 +178,8 @@ class _Part:
         steps["Values"] = times
         steps["PartOffsets"] = np.arange(n, dtype=np.int64)
         steps["NumberOfParts"] = np.ones(n, dtype=np.int64)
-        points = np.array(self.offsets["points"], dtype=np.int64)
-        steps["PointOffsets"] = points
-        steps["CellOffsets"] = np.array(self.offsets["cells"], dtype=np.int64)
-        steps["ConnectivityIdOffsets"] = np.array(self.offsets["connectivity"], dtype=np.int64)
+        for key, begins in self.offsets.items():
+            steps[key] = np.array(begins, dtype=np.int64)
         data = steps.create_group("PointDataOffsets")
         for name in self.data:
-            data[name] = points
+            data[name] = np.array(self.offsets["PointOffsets"], dtype=np.int64)

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -212,15 +211,9 @@ class ResultWriter:
         raise OutputError(f"{self.path}: every numbered name is taken; use --overwrite")
 
     def __enter__(self) -> ResultWriter:
-        """The writer itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Remove the temporary file unless `finish` moved it."""
         if self.file:
             self.file.close()

@@ -24,7 +24,7 @@ from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.path import draw_path, plane_of_motion
 from qbxstokes.plots.series import moves
-from qbxstokes.plots.source import ResultLike, aspect_ratio, instants, samples
+from qbxstokes.plots.source import ResultLike, aspect_ratio, instants, samples, vectors
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -77,7 +77,7 @@ class Frames:
         # q and -q are one orientation; follow the nearer one.
         flips = np.sign(np.einsum("ij,ij->i", q[1:], q[:-1]))
         q[1:] *= np.cumprod(np.where(flips == 0.0, 1.0, flips))[:, None]
-        spin = _held(result, "angular_velocity")
+        spin = vectors(result, "angular_velocity")
         path_times, path = axis_path(times, rotation.axis(q), spin)
         low, high = window or (times[0], times[-1])
         low, high = max(low, times[0]), min(high, times[-1])
@@ -94,17 +94,12 @@ class Frames:
         rates = None
         if spin is not None:
             rates = 0.5 * rotation.multiply(np.insert(spin, 0, 0.0, axis=1), q)
+        position = np.zeros((frames, 3))
         if "position" in result.arrays:
             centre = samples(result, "position", 3)
-            position = between(times, centre, _held(result, "velocity"), at)
-        else:
-            position = np.zeros((frames, 3))
+            position = between(times, centre, vectors(result, "velocity"), at)
         turned = rotation.normalize(between(times, q, rates, at))
         return cls(at, position, turned, path_times, path)
-
-
-def _held(result: ResultLike, name: str) -> Array | None:
-    return samples(result, name, 3) if name in result.arrays else None
 
 
 def _lit(shade: NDArray[np.intp], light: Array) -> Array:

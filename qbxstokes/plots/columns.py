@@ -161,26 +161,28 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
             f"at most {CURVES}, or more of one column parted by one number"
         )
     _set_scales(axes, spec, x, np.concatenate([columns.numbers(name) for name in names]))
-    colours = _Shades([group.value for group in groups]) if shaded else None
+    colours = _shades([group.value for group in groups]) if shaded else None
     drawn = [(name, group) for name in names for group in groups]
     for index, (name, group) in enumerate(drawn):
         y, rows = columns.numbers(name), group.rows
         look = style.line_style(index, markers=True)
         if colours is not None:
-            look = {"color": colours(group.value), "marker": "o", "markersize": 2}
+            look = {"color": colours.to_rgba(group.value), "marker": "o", "markersize": 2}
         if spec.get("points") or not columns.joined(rows):
             look["linestyle"] = "none"
-        words = [_short(columns, name)] if len(names) > 1 else []
-        words += [group.label] if group.label else []
-        axes.plot(x[rows], y[rows], label=", ".join(words), **look)
+        axes.plot(x[rows], y[rows], label=_told(columns, names, name, group), **look)
         if error is not None:
             bars = {"fmt": "none", "ecolor": look["color"], "elinewidth": 0.7, "capsize": 1.5}
             axes.errorbar(x[rows], y[rows], np.abs(error[rows]), **bars)
     axes.set_xlabel(_label(columns, spec["x"]))
-    _label_values(axes, columns, names)
+    words, units = _shared(columns, names)
+    if axes.get_yscale() == "log":
+        axes.set_ylabel(style.label(words, units))
+    else:
+        style.set_ylabel(axes, words, units)
     if colours is not None:
         label = _label(columns, spec["by"][0])
-        axes.figure.colorbar(colours.mappable, ax=axes, label=label, aspect=30)
+        axes.figure.colorbar(colours, ax=axes, label=label, aspect=30)
     elif len(drawn) > 1:
         longest = max(len(str(line.get_label())) for line in axes.get_lines())
         style.legend_above(axes, columns=max(1, min(4, 44 // (longest + 8))))
@@ -196,13 +198,12 @@ def _draw_bars(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
     height = 0.8 / len(bars)
     for index, (name, group) in enumerate(bars):
         at = np.array([places.index(word) for word in words[group.rows].tolist()])
-        told = [_short(columns, name)] if len(names) > 1 else []
         axes.barh(
             at - 0.4 + (index + 0.5) * height,
             columns.numbers(name)[group.rows],
             0.9 * height,
             color=style.LINES[index % len(style.LINES)][0],
-            label=", ".join([*told, *([group.label] if group.label else [])]),
+            label=_told(columns, names, name, group),
         )
     axes.set_xscale("log" if logarithmic else "linear")
     axes.set_yticks(range(len(places)), places)
@@ -218,7 +219,6 @@ def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Rows)
 
     All panels share their colours. Cells without a value are hatched.
     """
-    from matplotlib.colors import LogNorm, Normalize
     from matplotlib.patheffects import withStroke
     from matplotlib.ticker import LogLocator, MaxNLocator
 
@@ -228,9 +228,8 @@ def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Rows)
     finite = values[np.isfinite(values)]
     if not finite.size:
         raise CaseError(f"{columns.name}: column {name} holds no number")
-    logarithmic = _is_log(finite) and finite.min() > 0.0
-    norm = (LogNorm if logarithmic else Normalize)(float(finite.min()), float(finite.max()))
-    _set_scales(axes, {k: v for k, v in spec.items() if k == "scale"}, x, y)
+    norm, logarithmic = _norm(finite)
+    _set_scales(axes, spec, x, y)
     edges_x, edges_y = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
     axes.patch.set(facecolor="#f0f0f0", hatch="////", edgecolor="#b0b0b0")
     cells = np.ma.masked_invalid(grid)
@@ -275,6 +274,12 @@ def _groups(columns: Columns, by: Sequence[str]) -> list[_Group]:
     return groups
 
 
+def _told(columns: Columns, names: Sequence[str], name: str, group: _Group) -> str:
+    """What a legend says: the column, where there are several, and the group."""
+    words = [_short(columns, name) if len(names) > 1 else "", group.label]
+    return ", ".join(word for word in words if word)
+
+
 def _entry(columns: Columns, name: str, value: Any) -> str:
     """ "k = 0.5" for a number, the word itself."""
     if isinstance(value, str):
@@ -300,15 +305,6 @@ def _short(columns: Columns, name: str) -> str:
 def _label(columns: Columns, name: str) -> str:
     about = columns.about(name)
     return style.label(about.heading, about.units)
-
-
-def _label_values(axes: Axes, columns: Columns, names: Sequence[str]) -> None:
-    """Label the ordinate with what all of the columns on it have in common."""
-    words, units = _shared(columns, names)
-    if axes.get_yscale() == "log":
-        axes.set_ylabel(style.label(words, units))
-    else:
-        style.set_ylabel(axes, words, units)
 
 
 def _shared(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
@@ -340,10 +336,10 @@ def _is_log(values: Array) -> bool:
 
 
 def _set_scales(axes: Axes, spec: Mapping[str, Any], x: Array, y: Array) -> None:
-    chosen = ("log" if _is_log(x) else "linear", "log" if _is_log(y) else "linear")
-    scales = SCALES[spec["scale"]] if "scale" in spec else chosen
-    axes.set_xscale(scales[0])
-    axes.set_yscale(scales[1])
+    chosen = ["log" if _is_log(values) else "linear" for values in (x, y)]
+    scale_x, scale_y = SCALES[spec["scale"]] if "scale" in spec else chosen
+    axes.set_xscale(scale_x)
+    axes.set_yscale(scale_y)
 
 
 def _pivot(
@@ -379,22 +375,21 @@ def _power(level: float) -> str:
     return f"$10^{{{round(exponent)}}}$" if abs(exponent - round(exponent)) < 1e-9 else f"{level:g}"
 
 
-class _Shades:
+def _shades(values: Sequence[float]) -> Any:
     """Colours of curves by a number, evenly spaced in its logarithm where it spans decades."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap
 
-    def __init__(self, values: Sequence[float]) -> None:
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import ListedColormap, LogNorm, Normalize
+    # The palest tenth of the colours is too light for a line on white.
+    colours = colormaps[style.SEQUENTIAL](np.linspace(0.0, 0.9, 256))
+    return ScalarMappable(_norm(np.array(values))[0], ListedColormap(colours))
 
-        array = np.array(values)
-        kind = LogNorm if _is_log(array) and array.min() > 0.0 else Normalize
-        # The palest tenth of the colours is too light for a line on white.
-        colours = colormaps[style.SEQUENTIAL](np.linspace(0.0, 0.9, 256))
-        norm = kind(float(array.min()), float(array.max()))
-        self.mappable = ScalarMappable(norm, ListedColormap(colours))
 
-    def __call__(self, value: float) -> Any:
-        """The colour of the curve for this value."""
-        mappable: Any = self.mappable
-        return mappable.to_rgba(value)
+def _norm(values: Array) -> tuple[Any, bool]:
+    """How values become colours, and whether by their logarithm."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    low, high = float(values.min()), float(values.max())
+    logarithmic = _is_log(values) and low > 0.0
+    return (LogNorm if logarithmic else Normalize)(low, high), logarithmic

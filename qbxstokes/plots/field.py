@@ -11,19 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
+from qbxstokes.plots import style
 from qbxstokes.plots.source import ResultLike, aspect_ratio
-from qbxstokes.plots.style import (
-    BLACK,
-    COLUMN,
-    PAGE,
-    PALE,
-    SEQUENTIAL,
-    label,
-    letter_panels,
-    new_figure,
-    save,
-    styled,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,8 +49,8 @@ def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
     """
     written = []
     for name, draw in drawings(result).items():
-        with styled():
-            written.append(save(draw(), Path(f"{stem}-{name}.{kind}")))
+        with style.styled():
+            written.append(style.save(draw(), Path(f"{stem}-{name}.{kind}")))
     return written
 
 
@@ -79,7 +68,7 @@ def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
     filled = np.where(np.isnan(velocity), rigid, velocity)
     speed = np.linalg.norm(filled, axis=-1).reshape(shape).T
     figure, axes = _plane_axes(plane)
-    mesh = axes.pcolormesh(a, b, speed, shading="gouraud", cmap=SEQUENTIAL, rasterized=True)
+    mesh = axes.pcolormesh(a, b, speed, shading="gouraud", cmap=style.SEQUENTIAL, rasterized=True)
     u, v = (np.ma.masked_invalid(part) for part in along)
     if np.ma.maximum(np.abs(u).max(), np.abs(v).max()) > 0.0:
         lines = axes.streamplot(
@@ -89,7 +78,7 @@ def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
         axes.set_xlim(a[0], a[-1])
         axes.set_ylim(b[0], b[-1])
     _body_section(axes, result, plane, a, b, step)
-    _bar(figure, axes, mesh, label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"))
+    _bar(figure, axes, mesh, style.label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"))
     return figure
 
 
@@ -116,7 +105,7 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     names = ["along the axis", "across it"]
     if "plane" in field:
         names = [_name(field["plane"], name) for name in ("first", "second")]
-    figure = new_figure(PAGE, 0.46 * PAGE)
+    figure = style.new_figure(style.PAGE, 0.46 * style.PAGE)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     reach = 1.3 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
     longest = float(size.max()) or 1.0
@@ -129,7 +118,11 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
         seen = side * depth > 0.0
         polygons = np.stack([flat[corner] for corner in corners], axis=-2)[seen]
         mesh = PolyCollection(
-            list(polygons), array=value[seen], cmap=SEQUENTIAL, edgecolors="face", linewidths=0.2
+            list(polygons),
+            array=value[seen],
+            cmap=style.SEQUENTIAL,
+            edgecolors="face",
+            linewidths=0.2,
         )
         mesh.set_norm(norm)
         mesh.set_rasterized(True)
@@ -141,7 +134,7 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
             *flat[facing][chosen].T,
             *flat_arrows[facing][chosen].T,
             color="white",
-            edgecolor=BLACK,
+            edgecolor=style.BLACK,
             linewidth=0.3,
             angles="xy",
             scale_units="xy",
@@ -155,11 +148,11 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
         across = names[0]
         if side < 0:
             across = f"$-({across[1:-1]})$" if across.startswith("$") else f"minus {across}"
-        axes.set_xlabel(label(across, "c"))
-    panels[0].set_ylabel(label(names[1], "c"))
-    letter_panels(list(panels))
+        axes.set_xlabel(style.label(across, "c"))
+    panels[0].set_ylabel(style.label(names[1], "c"))
+    style.letter_panels(list(panels))
     colours = figure.colorbar(mesh, ax=list(panels), fraction=0.05, pad=0.02)
-    colours.set_label(label(r"traction $|\mathbf{\sigma}\mathbf{n}|$", "mu/tau"))
+    colours.set_label(style.label(r"traction $|\mathbf{\sigma}\mathbf{n}|$", "mu/tau"))
     return figure
 
 
@@ -194,9 +187,15 @@ def error_figure(result: ResultLike) -> Figure:
     values[np.searchsorted(second, j), np.searchsorted(first, i)] = size
     norm = LogNorm(float(np.nanmin(size)), max(float(np.nanmax(size)), 1.1 * _LEAST_ERROR))
     mesh = axes.pcolormesh(
-        a[first], b[second], values, norm=norm, shading="nearest", cmap=SEQUENTIAL, rasterized=True
+        a[first],
+        b[second],
+        values,
+        norm=norm,
+        shading="nearest",
+        cmap=style.SEQUENTIAL,
+        rasterized=True,
     )
-    axes.set_facecolor(PALE)  # cells whose point lies in the body
+    axes.set_facecolor(style.PALE)  # cells whose point lies in the body
     _body_section(axes, result, plane, a, b, -1)
     axes.set_xlim(a[0], a[-1])
     axes.set_ylim(b[0], b[-1])
@@ -212,12 +211,12 @@ def _plane_axes(plane: Mapping[str, Any]) -> tuple[Figure, Axes]:
     """Figure and axes of the plane's shape, with room for the colour bar."""
     a, b = _coordinates(plane)
     shape = (b[-1] - b[0]) / (a[-1] - a[0])
-    width = COLUMN if shape > 1.5 else 1.35 * COLUMN
-    figure = new_figure(width, min(max(0.74 * width * shape + 0.45, 1.6), 8.0))
+    width = style.COLUMN if shape > 1.5 else 1.35 * style.COLUMN
+    figure = style.new_figure(width, min(max(0.74 * width * shape + 0.45, 1.6), 8.0))
     axes = figure.subplots()
     axes.set_aspect("equal")
-    axes.set_xlabel(label(_name(plane, "first"), "c"))
-    axes.set_ylabel(label(_name(plane, "second"), "c"))
+    axes.set_xlabel(style.label(_name(plane, "first"), "c"))
+    axes.set_ylabel(style.label(_name(plane, "second"), "c"))
     return figure, axes
 
 
@@ -282,5 +281,7 @@ def _body_section(
     body = offsets if plane["frame"] == "body" else offsets @ turn
     level = np.sum((body / [k, k, 1.0]) ** 2, axis=-1)
     if level.min() < 1.0 < level.max():
-        axes.contourf(fine_a, fine_b, level, levels=[-1.0, 1.0], colors=[PALE], zorder=3)
-        axes.contour(fine_a, fine_b, level, levels=[1.0], colors=[BLACK], linewidths=0.8, zorder=4)
+        axes.contourf(fine_a, fine_b, level, levels=[-1.0, 1.0], colors=[style.PALE], zorder=3)
+        axes.contour(
+            fine_a, fine_b, level, levels=[1.0], colors=[style.BLACK], linewidths=0.8, zorder=4
+        )

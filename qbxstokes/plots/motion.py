@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from qbxstokes.plots import style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
-from qbxstokes.plots.path import path_figure
-from qbxstokes.plots.series import (
-    Panel,
-    axis_panel,
-    constant_panels,
-    euler_panel,
-    loaded,
-    moves,
-    vector_panels,
-)
+from qbxstokes.plots.path import draw_path
+from qbxstokes.plots.series import Panel, moves, panels
 from qbxstokes.plots.source import ResultLike
 
 if TYPE_CHECKING:
@@ -25,42 +17,53 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def stacked(panels: Sequence[Panel]) -> Figure:
+def stacked(drawn: Sequence[Panel]) -> Figure:
     """Panels over one time axis, one above the other."""
-    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * len(panels))
-    grid = figure.add_gridspec(len(panels), 1)
-    _finish(figure, _column(figure, grid, 0, 0, panels))
+    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * len(drawn))
+    grid = figure.add_gridspec(len(drawn), 1)
+    _finish(figure, _column(figure, grid, 0, 0, drawn))
     return figure
 
 
 def overview_figure(result: ResultLike) -> Figure:
     """All that changes in time on one page, with the orbit."""
-    panels = overview_panels(result)
+    every = panels(result, _ALL)
     with_orbit = "axis" in result.arrays
     taken = 0
     if with_orbit:  # rows of the second column, so that both columns end on the same row
-        taken = 2 if len(panels) % 2 == 0 else 3 if len(panels) > 4 else 1
-    rows = -(-(len(panels) + taken) // 2)
+        taken = 2 if len(every) % 2 == 0 else 3 if len(every) > 4 else 1
+    rows = -(-(len(every) + taken) // 2)
     figure = style.new_figure(style.PAGE, 0.35 + 1.55 * rows)
     grid = figure.add_gridspec(rows, 2)
-    drawn = _column(figure, grid, 0, 0, panels[:rows])
+    drawn = _column(figure, grid, 0, 0, every[:rows])
     if with_orbit:
         orbit = figure.add_subplot(grid[:taken, 1])
         draw_orbit(orbit, result)
         drawn.append(orbit)
-    _finish(figure, drawn + _column(figure, grid, 1, taken, panels[rows:]))
+    _finish(figure, drawn + _column(figure, grid, 1, taken, every[rows:]))
+    return figure
+
+
+def path_figure(result: ResultLike) -> Figure:
+    """The path, and the displacement since the start against time."""
+    side = panels(result, ["position"])
+    figure = style.new_figure(style.PAGE, 2.5 if len(side) == 1 else 3.4)
+    grid = figure.add_gridspec(len(side), 2)
+    path = figure.add_subplot(grid[:, 0])
+    draw_path(path, result)
+    style.letter_panels([path, *_column(figure, grid, 1, 0, side)])
     return figure
 
 
 def _column(
-    figure: Figure, grid: Any, column: int, first: int, panels: Sequence[Panel]
+    figure: Figure, grid: Any, column: int, first: int, contents: Sequence[Panel]
 ) -> list[Axes]:
     """Panels in a column of the grid from row `first` on, the time axis labelled at the last."""
     drawn: list[Axes] = []
-    for index, panel in enumerate(panels):
+    for index, panel in enumerate(contents):
         axes = figure.add_subplot(grid[first + index, column], sharex=drawn[0] if drawn else None)
         panel(axes)
-        if index < len(panels) - 1:
+        if index < len(contents) - 1:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
         drawn.append(axes)
@@ -72,58 +75,14 @@ def _finish(figure: Figure, drawn: Sequence[Axes]) -> None:
     figure.align_ylabels(list(drawn))
 
 
-def rotation_panels(result: ResultLike) -> list[Panel]:
-    """Axis, Euler angles and angular velocity, as far as the file holds them."""
-    panels: list[Panel] = []
-    if "axis" in result.arrays:
-        panels.append(axis_panel(result))
-    if "euler_angles" in result.arrays:
-        panels.append(euler_panel(result))
-    if "angular_velocity" in result.arrays:
-        panels += vector_panels(result, "angular_velocity")
-    return panels
-
-
-def load_panels(result: ResultLike) -> list[Panel]:
-    """Force and torque, where they are more than rounding."""
-    return [
-        panel
-        for name in ("force", "torque")
-        if loaded(result, name)
-        for panel in vector_panels(result, name)
-    ]
-
-
-def overview_panels(result: ResultLike) -> list[Panel]:
-    """Everything about the motion that changes, for one page."""
-    panels: list[Panel] = []
-    if moves(result):
-        panels += vector_panels(result, "position")
-        if "velocity" in result.arrays:
-            panels += vector_panels(result, "velocity")
-    panels += rotation_panels(result)
-    if "orbit_constant" in result.arrays:
-        panels += constant_panels(result)
-    return panels + load_panels(result)
-
-
-def velocity_panels(result: ResultLike) -> list[Panel]:
-    """Velocity of a centre that moves."""
-    wanted = "velocity" in result.arrays and moves(result)
-    return vector_panels(result, "velocity") if wanted else []
-
-
-def orbit_constant_panels(result: ResultLike) -> list[Panel]:
-    """The orbit constant, where the file holds it."""
-    return constant_panels(result) if "orbit_constant" in result.arrays else []
-
-
-_STACKS: dict[str, Callable[[ResultLike], list[Panel]]] = {
-    "rotation": rotation_panels,
-    "constant": orbit_constant_panels,
-    "velocity": velocity_panels,
-    "loads": load_panels,
+_ROTATION = ("axis", "euler_angles", "angular_velocity")
+_STACKS = {
+    "rotation": _ROTATION,
+    "constant": ("orbit_constant",),
+    "velocity": ("velocity",),
+    "loads": ("force", "torque"),
 }
+_ALL = ("position", "velocity", *_ROTATION, "orbit_constant", "force", "torque")
 KINDS: dict[str, str] = {
     "orbit": "path of the axis on the unit sphere",
     "rotation": "axis, Euler angles and angular velocity against time",
@@ -146,10 +105,10 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
         found["orbit"] = partial(orbit_figure, result)
     if moves(result):
         found["path"] = partial(path_figure, result)
-    for kind, collect in _STACKS.items():
-        panels = collect(result)
-        if panels:
-            found[kind] = partial(stacked, panels)
-    if overview_panels(result):
+    for kind, names in _STACKS.items():
+        drawn = panels(result, names)
+        if drawn:
+            found[kind] = partial(stacked, drawn)
+    if panels(result, _ALL):
         found["overview"] = partial(overview_figure, result)
     return {kind: found[kind] for kind in KINDS if kind in found}

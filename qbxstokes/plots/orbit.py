@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from qbxstokes.plots import style
 from qbxstokes.plots.between import axis_path
 from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.source import ResultLike, instants, samples
+from qbxstokes.plots.source import ResultLike, instants, samples, vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,19 +23,18 @@ _CLOSED = 0.05  # an orbit that keeps within this of itself is drawn in one colo
 _MANY = 40_000  # points of a path; longer ones are drawn as pixels
 
 
-def orbit_figure(result: ResultLike, camera: Camera | None = None) -> Figure:
-    """The path of the axis D3 on the unit sphere, seen from the direction of the camera."""
+def orbit_figure(result: ResultLike) -> Figure:
+    """The path of the axis D3 on the unit sphere."""
     figure = style.new_figure(style.COLUMN, 3.3)
-    draw_orbit(figure.add_subplot(), result, camera)
+    draw_orbit(figure.add_subplot(), result)
     return figure
 
 
-def draw_orbit(axes: Axes, result: ResultLike, camera: Camera | None = None) -> None:
+def draw_orbit(axes: Axes, result: ResultLike) -> None:
     """The orbit, in one colour where it closes on itself, coloured by time where it drifts."""
-    times, axis = instants(result), samples(result, "axis", 3)
-    spin = samples(result, "angular_velocity", 3) if "angular_velocity" in result.arrays else None
-    at, path = axis_path(times, axis, spin)
-    camera = camera or Camera()
+    spin = vectors(result, "angular_velocity")
+    at, path = axis_path(instants(result), samples(result, "axis", 3), spin)
+    camera = Camera()
     draw_sphere(axes, camera)
     if drifts(path):
         _draw_coloured(axes, camera, at, path)
@@ -85,30 +84,27 @@ def draw_sphere(axes: Axes, camera: Camera) -> None:
     )
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     circle = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
-    for latitude in np.radians([-60.0, -30.0, 30.0, 60.0]):
-        ring = circle * np.cos(latitude) + [0.0, 0.0, np.sin(latitude)]
-        _draw_ring(axes, camera, ring, style.PALE, 0.4, hidden=False)
+    rings = [
+        circle * np.cos(latitude) + [0.0, 0.0, np.sin(latitude)]
+        for latitude in np.radians([-60.0, -30.0, 30.0, 60.0])
+    ]
     for longitude in np.radians(np.arange(0.0, 180.0, 30.0)):
         across = np.array([np.cos(longitude), np.sin(longitude), 0.0])
-        ring = circle[:, :1] * across + circle[:, 1:2] * [0.0, 0.0, 1.0]
-        _draw_ring(axes, camera, ring, style.PALE, 0.4, hidden=False)
-    _draw_ring(axes, camera, circle, style.GREY, 0.6, hidden=True)
+        rings.append(circle[:, :1] * across + circle[:, 1:2] * [0.0, 0.0, 1.0])
+    for ring in rings:
+        front, _ = split_at_silhouette(ring, camera.depth(ring))
+        for piece in front:
+            axes.plot(*camera.project(piece).T, color=style.PALE, linewidth=0.4, zorder=1)
+    front, back = split_at_silhouette(circle, camera.depth(circle))
+    for pieces, color, zorder in ((front, style.GREY, 1), (back, style.PALE, 0.5)):
+        for piece in pieces:
+            axes.plot(*camera.project(piece).T, color=color, linewidth=0.6, zorder=zorder)
     for index, direction in enumerate(np.eye(3)):
         _draw_arrow(axes, camera, direction, f"$x_{index + 1}$")
     axes.set_aspect("equal")
     axes.set_xlim(-1.28, 1.28)
     axes.set_ylim(-1.12, 1.36)
     axes.set_axis_off()
-
-
-def _draw_ring(
-    axes: Axes, camera: Camera, ring: Array, color: str, width: float, hidden: bool
-) -> None:
-    front, back = split_at_silhouette(ring, camera.depth(ring))
-    for piece in front:
-        axes.plot(*camera.project(piece).T, color=color, linewidth=width, zorder=1)
-    for piece in back if hidden else []:
-        axes.plot(*camera.project(piece).T, color=style.PALE, linewidth=width, zorder=0.5)
 
 
 def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None:
@@ -138,25 +134,13 @@ def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None
 
 def _draw_path(axes: Axes, camera: Camera, path: Array) -> None:
     front, back = split_at_silhouette(path, camera.depth(path))
-    many = len(path) > _MANY
-    for piece in back:
-        axes.plot(
-            *camera.project(piece).T,
-            color=style.PALE_BLUE,
-            linewidth=0.8,
-            zorder=2,
-            gid="behind",
-            rasterized=many,
-        )
-    for piece in front:
-        axes.plot(
-            *camera.project(piece).T,
-            color=style.BLUE,
-            linewidth=1.4,
-            zorder=4,
-            gid="before",
-            rasterized=many,
-        )
+    for pieces, color, width, zorder, gid in (
+        (back, style.PALE_BLUE, 0.8, 2, "behind"),
+        (front, style.BLUE, 1.4, 4, "before"),
+    ):
+        look: dict[str, Any] = {"color": color, "linewidth": width, "zorder": zorder, "gid": gid}
+        for piece in pieces:
+            axes.plot(*camera.project(piece).T, rasterized=len(path) > _MANY, **look)
 
 
 def _draw_coloured(axes: Axes, camera: Camera, at: Array, path: Array) -> None:

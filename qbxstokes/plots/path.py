@@ -1,4 +1,4 @@
-"""Where the centre of the body goes: its path in the plane of motion, and its drift in time."""
+"""Where the centre of the body goes: its path in the plane of motion."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-from qbxstokes.plots.series import vector_panels
 from qbxstokes.plots.source import ResultLike, samples, units
 from qbxstokes.quantities import MOTION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -49,21 +47,3 @@ def draw_path(axes: Axes, result: ResultLike) -> None:
         axes.set_ylim(middle - 0.5, middle + 0.5)
     else:
         axes.set_xlabel(axes.get_xlabel() + "; not to scale")
-
-
-def path_figure(result: ResultLike) -> Figure:
-    """The path, and the displacement since the start against time."""
-    panels = vector_panels(result, "position")
-    figure = style.new_figure(style.PAGE, 2.5 if len(panels) == 1 else 3.4)
-    grid = figure.add_gridspec(len(panels), 2)
-    path = figure.add_subplot(grid[:, 0])
-    draw_path(path, result)
-    side = [figure.add_subplot(grid[index, 1]) for index in range(len(panels))]
-    for axes, panel in zip(side, panels, strict=True):
-        panel(axes)
-    for axes in side[:-1]:
-        axes.sharex(side[-1])
-        axes.set_xlabel("")
-        axes.tick_params(labelbottom=False)
-    style.letter_panels([path, *side])
-    return figure

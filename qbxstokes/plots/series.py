@@ -78,52 +78,41 @@ def vector_panels(result: ResultLike, name: str) -> list[Panel]:
     return [panel(group) for group in sorted(groups)]
 
 
-def axis_panel(result: ResultLike) -> Panel:
-    """Components of the symmetry axis."""
-    times, axis = instants(result), samples(result, "axis", 3)
-    symbol, parts = MOTION["axis"].symbol, MOTION["axis"].symbols
+def _three(result: ResultLike, name: str) -> list[Panel]:
+    """One panel of the axis, or of the Euler angles in half turns, continuous in time."""
+    times, values = instants(result), samples(result, name, 3)
+    if name == "euler_angles":
+        values = np.unwrap(values, axis=0) / np.pi
+    symbol, parts = MOTION[name].symbol, MOTION[name].symbols
 
     def draw(axes: Axes) -> None:
-        draw_lines(axes, times, [(f"${parts[i]}$", axis[:, i]) for i in range(3)])
-        axes.set_ylabel(f"axis ${symbol}$")
-        axes.set_ylim(-1.08, 1.08)
+        draw_lines(axes, times, [(f"${parts[i]}$", values[:, i]) for i in range(3)])
+        if name == "euler_angles":
+            axes.set_ylabel(r"Euler angles$\,/\,\pi$")
+        else:
+            axes.set_ylabel(f"axis ${symbol}$")
+            axes.set_ylim(-1.08, 1.08)
 
-    return draw
-
-
-def euler_panel(result: ResultLike) -> Panel:
-    """Euler angles in half turns, continuous in time."""
-    times = instants(result)
-    angles = np.unwrap(samples(result, "euler_angles", 3), axis=0) / np.pi
-
-    def draw(axes: Axes) -> None:
-        parts = MOTION["euler_angles"].symbols
-        draw_lines(axes, times, [(f"${parts[i]}$", angles[:, i]) for i in range(3)])
-        axes.set_ylabel(r"Euler angles$\,/\,\pi$")
-
-    return draw
-
-
-def bounded_constant(constant: Array) -> Array:
-    """C/(1+C): 0 for log-rolling, 1 for tumbling, where the orbit constant C itself is infinite."""
-    finite = np.isfinite(constant)
-    return np.where(finite, constant / (1.0 + np.where(finite, constant, 0.0)), 1.0)
+    return [draw]
 
 
 def constant_panels(result: ResultLike) -> list[Panel]:
     """The orbit constant, and how far it has gone from its value at the start.
 
+    C/(1+C) is 0 for log-rolling and 1 for tumbling, where the orbit constant C itself is infinite.
     The drift is shown on a logarithmic scale where it is tiny (an error), as ln(C/C0), whose
     slope is the rate of drift, where it is not; not at all where C starts as 0 or infinite.
     """
     times, constant = instants(result), samples(result, "orbit_constant")
+    finite = np.isfinite(constant)
+    bounded = np.where(finite, constant / (1.0 + np.where(finite, constant, 0.0)), 1.0)
 
     def draw(axes: Axes) -> None:
-        draw_lines(axes, times, [("$C/(1+C)$", bounded_constant(constant))])
+        draw_lines(axes, times, [("$C/(1+C)$", bounded)])
         axes.set_ylabel("orbit $C/(1+C)$")
         axes.set_ylim(-0.04, 1.04)
 
-    usable = np.isfinite(constant) & (constant > 0.0)
+    usable = finite & (constant > 0.0)
     if not _POLE < constant[0] < 1.0 / _POLE or usable.sum() < 2:
         return [draw]
     drift = np.full_like(constant, np.nan)
@@ -151,6 +140,23 @@ def moves(result: ResultLike) -> bool:
     return bool(np.nanmax(np.abs(position - position[0])) > 1e-3)
 
 
-def loaded(result: ResultLike, name: str) -> bool:
-    """Whether a force or torque in the file is more than rounding."""
-    return name in result.arrays and bool(np.nanmax(np.abs(samples(result, name, 3))) > 1e-9)
+def _worth_drawing(result: ResultLike, name: str) -> bool:
+    """Whether the file holds a quantity that does anything: a centre at rest has no path."""
+    if name not in result.arrays:
+        return False
+    if name in ("force", "torque"):  # more than rounding
+        return bool(np.nanmax(np.abs(samples(result, name, 3))) > 1e-9)
+    return name not in ("position", "velocity") or moves(result)
+
+
+def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
+    """Panels of quantities against time, as far as the file holds them and they do anything."""
+    found: list[Panel] = []
+    for name in names:
+        if _worth_drawing(result, name):
+            if name == "orbit_constant":
+                found += constant_panels(result)
+            else:
+                draw = _three if name in ("axis", "euler_angles") else vector_panels
+                found += draw(result, name)
+    return found

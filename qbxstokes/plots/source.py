@@ -20,7 +20,7 @@ class ResultLike(Protocol):
 
     path: Path
     task: str
-    arrays: dict[str, NDArray[Any]]
+    arrays: Mapping[str, NDArray[Any]]
     attributes: dict[str, dict[str, Any]]
     summary: dict[str, Any]
     provenance: dict[str, Any]
@@ -46,6 +46,11 @@ def samples(result: ResultLike, name: str, width: int | None = None) -> Array:
             f"not {shape} numbers"
         )
     return values.astype(float)
+
+
+def vectors(result: ResultLike, name: str) -> Array | None:
+    """Dataset `name` (T, 3), None where the file does not hold it."""
+    return samples(result, name, 3) if name in result.arrays else None
 
 
 def instants(result: ResultLike) -> Array:

@@ -198,20 +198,10 @@ def letter_panels(panels: Sequence[Axes]) -> None:
             axes.set_title(f"({chr(ord('a') + index)})", loc="right", pad=4)
 
 
-def lay_out(figure: Figure) -> None:
-    """Place everything now and for good: a figure saved several times is laid out once."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-
-
-def save(figure: Figure, path: Path, dpi: float | None = None, colours: int | None = None) -> Path:
+def save(figure: Figure, path: Path, dpi: float = 300.0) -> Path:
     """Write the figure in the format of the name's ending; raises CaseError where it cannot.
 
-    The file appears under its name only when it is whole. An older picture is replaced. dpi:
-    resolution, if not that of print. colours: a PNG of a palette of so many, several times smaller
-    for drawings of lines.
+    The file appears under its name only when it is whole. An older picture is replaced.
     """
     kind = path.suffix[1:]
     if kind not in FORMATS:
@@ -222,20 +212,8 @@ def save(figure: Figure, path: Path, dpi: float | None = None, colours: int | No
         "png": {"Software": f"qbxstokes {__version__}"},
     }
     with whole_file(path) as temporary, styled():
-        resolution = dpi or _SETTINGS["savefig.dpi"]
-        figure.savefig(temporary, format=kind, metadata=metadata[kind], dpi=resolution)
-        if kind == "png" and colours is not None:
-            _reduce(temporary, colours)
+        figure.savefig(temporary, format=kind, metadata=metadata[kind], dpi=dpi)
     return path
-
-
-def _reduce(path: Path, colours: int) -> None:
-    """Rewrite a PNG with a palette; without dithering, so that lines keep clean edges."""
-    from PIL import Image
-
-    with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE)
-        small.save(path, "PNG", optimize=True, dpi=picture.info.get("dpi", (72, 72)))
 
 
 @contextmanager

@@ -43,7 +43,9 @@ _ZERO = 1e-12
 class SweepLike(ResultLike, Protocol):
     """What `qbxstokes.load` returns for a sweep."""
 
-    coordinates: list[str]
+    @property
+    def coordinates(self) -> list[str]:
+        """Names of the swept columns."""
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -17,13 +17,12 @@ from qbxstokes.case.document import document_of, parse, plain, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.names import free_name
-from qbxstokes.io.result import Result
-from qbxstokes.io.results import load
+from qbxstokes.io.results import Result, load
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.command import compute_case
 
 if TYPE_CHECKING:
-    from qbxstokes.io.sweep_result import SweepResult
+    from qbxstokes.io.results import SweepResult
 
 _NAME = "case"  # what messages call a case that is no file
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from qbxstokes.case.document import plain
 
 if TYPE_CHECKING:
-    from qbxstokes.io.result import Result
+    from qbxstokes.io.results import Result
 
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider
