@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import COLUMNS, MOTION
+from qbxstokes.runs.gathering import Gathering, Item
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.from_case import Starts, start_quaternion
@@ -61,14 +62,8 @@ def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:
         moving = [k for k in values if k[:2] == key]
         if base == "with_flow" and not moving:
             return None
-        taken = np.empty((n, 3))
-        taken[:] = 0.0 if base == "with_flow" else base
-        for k in moving:
-            if len(k) == 2:
-                taken[:] = values[k]
-            else:
-                taken[:, k[2]] = values[k]
-        return taken
+        whole = (0.0, 0.0, 0.0) if base == "with_flow" else base
+        return _filled(whole, {k[2:]: values[k] for k in moving}, n)
 
     position = vectors("position")
     assert position is not None
@@ -80,6 +75,15 @@ def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:
         vectors("velocity"),
         vectors("angular_velocity"),
     )
+
+
+def _filled(base: Sequence[float], swept: Mapping[Key, Any], n: int) -> Array:
+    """Vectors (n, size): the base, with what is swept of it, as a whole () or by place (i,)."""
+    vectors = np.empty((n, len(base)))
+    vectors[:] = base
+    for place, values in swept.items():
+        vectors[(slice(None), *place)] = values
+    return vectors
 
 
 def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array:
@@ -94,13 +98,7 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     form = str(next(iter(swept))[0])
     base = getattr(case.start.orientation, form)
     if form in ("axis", "quaternion"):
-        vectors = np.empty((n, len(base)))
-        vectors[:] = base
-        for key, value in swept.items():
-            if len(key) == 1:
-                vectors[:] = value
-            else:
-                vectors[:, key[1]] = value
+        vectors = _filled(base, {key[1:]: value for key, value in swept.items()}, n)
         return rotation.from_axis(vectors) if form == "axis" else rotation.normalize(vectors)
     names = ("phi", "theta", "psi") if form == "euler" else ("constant", "phase")
     parts = [np.broadcast_to(swept.get((form, name), getattr(base, name)), (n,)) for name in names]
@@ -109,17 +107,25 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     return rotation.from_axis(orbit_axis(case.body.aspect_ratio, *parts))
 
 
-class Keeper(Protocol):
-    """Where the state of a block in work is kept, so that a run that is killed loses little."""
+class Keeper:
+    """Keeps the state of a block in work on disk, so that a run that is killed loses little."""
+
+    def __init__(self, gathering: Gathering, name: str, only: list[int]) -> None:
+        self._gathering, self._name, self._only = gathering, name, only
 
     def late(self, ahead: float) -> bool:
         """Whether the state is to be saved now, the next chance being so many seconds ahead."""
+        return self._gathering.late(ahead)
 
     def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
-        """Make the state safe."""
+        """Make the state safe, and whatever else this rank has finished."""
+        self._gathering.save()
+        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
 
-    def load(self) -> tuple[dict[str, Array], dict[str, Any]] | None:
+    def load(self) -> Item | None:
         """The state that an earlier run has left of this block, None without one."""
+        found = self._gathering.work.state(self._name)
+        return found if found is not None and found[1]["only"] == self._only else None
 
 
 # Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.

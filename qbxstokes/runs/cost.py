@@ -20,8 +20,8 @@ import numpy as np
 from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
+from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.simulation import Simulation

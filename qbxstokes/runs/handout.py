@@ -8,12 +8,12 @@ Where MPI needs the target's help (windows over plain messages), rank 0 gives it
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
-_POLL = 2e-3
+from qbxstokes.runs.parallel import wait_asleep
+
 # Places in the window.
 MODELS, BLOCKS, DONE, FAILED, WORK = range(5)
 _PLACES = 5
@@ -66,11 +66,9 @@ class HandOut:
             self._comm.Iprobe()
 
     def wait(self) -> None:
-        """Wait for all ranks, asleep between looks, so that the last workers have their cores."""
+        """Wait for all ranks."""
         if self._window is not None:
-            arrived = self._comm.Ibarrier()
-            while not arrived.Test():
-                time.sleep(_POLL)
+            wait_asleep(self._comm)
 
     def close(self) -> None:
         """Free the window; all ranks together."""

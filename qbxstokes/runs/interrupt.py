@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 from qbxstokes.errors import Interrupted
@@ -38,16 +38,10 @@ class Interruption:
 
     def __enter__(self) -> Interruption:
         """Take over both signals."""
-        for number in _SIGNALS:
-            self._former[number] = signal.signal(number, self._note)
+        self._former = {number: signal.signal(number, self._note) for number in _SIGNALS}
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give them back."""
         for number, handler in self._former.items():
             signal.signal(number, handler)

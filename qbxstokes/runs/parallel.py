@@ -25,6 +25,13 @@ def world() -> Any:
     return MPI.COMM_WORLD
 
 
+def wait_asleep(comm: Any) -> None:
+    """Wait for all ranks, asleep between looks, so that those at work have their cores."""
+    arrived = comm.Ibarrier()
+    while not arrived.Test():
+        time.sleep(_POLL)
+
+
 def on_root(comm: Any, action: Callable[[], T]) -> T:
     """Result of `action` on rank 0, given to all ranks; a QbxStokesError is raised on all.
 
@@ -37,9 +44,7 @@ def on_root(comm: Any, action: Callable[[], T]) -> T:
         except QbxStokesError as error:
             outcome = (None, error)
     if comm.size > 1:
-        arrived = comm.Ibarrier()
-        while not arrived.Test():
-            time.sleep(_POLL)
+        wait_asleep(comm)
         outcome = comm.bcast(outcome)
     value, failure = outcome
     if failure is not None:

@@ -16,11 +16,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.results import told_by
-from qbxstokes.io.store import (
-    DamagedPart,
-    open_work,
-    read_part,
-)
+from qbxstokes.io.store import DamagedPart, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
@@ -205,7 +201,6 @@ class Recording:
         stride = max(1, -(-total // _KEPT))
         kept: list[Array] = []
         first, seen, drift = None, 0, 0.0
-        constant = _place("orbit_constant")
         for name, rows in _joined(self._rows(), _PIECE):
             if name != SAMPLES:
                 columns = of_event(name)
@@ -213,8 +208,9 @@ class Recording:
                 continue
             data = split_columns(rows, _COLUMNS)
             writer.append({"time": data["time"], **{key: data[key] for key in quantities}})
-            first = rows[0, constant] if first is None else first
-            drift = max(drift, float(orbit_drift(rows[:, constant], first)))
+            constant = data["orbit_constant"]
+            first = constant[0] if first is None else first
+            drift = max(drift, float(orbit_drift(constant, first)))
             index = np.arange(seen, seen + len(rows))
             kept.append(rows[(index % stride == 0) | (index == total - 1)])
             seen += len(rows)
@@ -237,13 +233,3 @@ def _joined(pieces: Iterable[tuple[str, Array]], most: float) -> Iterator[tuple[
             yield name, np.concatenate(waiting.pop(name))
     for name, pile in waiting.items():
         yield name, np.concatenate(pile)
-
-
-def _place(name: str) -> int:
-    """First column of a quantity in the rows of samples."""
-    start = 0
-    for key, column in _COLUMNS.items():
-        if key == name:
-            return start
-        start += column.size
-    raise KeyError(name)

@@ -7,7 +7,6 @@ wait for its orders without occupying their cores.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -15,10 +14,9 @@ import numpy as np
 
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import Scheme, layer_rows
+from qbxstokes.runs.parallel import wait_asleep
 
 T = TypeVar("T")
-
-_POLL = 2e-3  # seconds between looks of a waiting rank
 
 
 class Alone:
@@ -83,9 +81,7 @@ class RowTeam:
 
     def _order(self, order: Any) -> Any:
         if self._comm.rank:
-            arrived = self._comm.Ibarrier()
-            while not arrived.Test():
-                time.sleep(_POLL)
+            wait_asleep(self._comm)
         else:
             self._comm.Ibarrier().Wait()
         return self._comm.bcast(order)
@@ -99,15 +95,11 @@ def _share(order: Any, rank: int, size: int) -> tuple[Any, Any]:
 
 def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
     """The shares of all ranks as one."""
-    size = len(parts)
-    whole = []
-    for layer in range(2):
-        n_rows = sum(len(part[layer]) for part in parts)
-        rows = np.empty((n_rows, *parts[0][layer].shape[1:]))
-        for rank, part in enumerate(parts):
-            rows[rank::size] = part[layer]
-        whole.append(rows)
-    return whole[0], whole[1]
+    double, single = (np.concatenate(shares) for shares in zip(*parts, strict=True))
+    for rank, (first, second) in enumerate(parts):
+        double[rank :: len(parts)] = first
+        single[rank :: len(parts)] = second
+    return double, single
 
 
 def rows_by_all(

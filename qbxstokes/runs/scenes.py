@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -140,12 +140,11 @@ class Scenes:
 
     def block(self, number: int) -> Block:
         """A block by its number, the trajectories of each piece in increasing order."""
-        own = int(self._first_block[-1])
-        if number >= own:
-            scenes = self._gathered[number - own]
+        scenes = self.scenes_of(number)
+        if number >= self._first_block[-1]:
             pieces = [(s, self._members(s, 0, int(self.sizes[s]))) for s in scenes]
             return Block(number, tuple(pieces))
-        scene = int(np.searchsorted(self._first_block, number, side="right")) - 1
+        (scene,) = scenes
         start = (number - int(self._first_block[scene])) * self.block_size
         stop = min(start + self.block_size, int(self.sizes[scene]))
         return Block(number, ((scene, self._members(scene, start, stop)),))
@@ -312,17 +311,24 @@ class Scenes:
         scene = self.scene(0)
         if scene.plan.simulation.kind != "table":
             return np.full(self.size, -1)
+        return self._alike(self._makes_scene, self._company_labels)
+
+    def _alike(
+        self,
+        counts: Callable[[Column], bool],
+        labels: Callable[[Column, Indices], list[str]],
+    ) -> Indices:
+        """Of every scene a number, the same where the labels of all columns that count are."""
         per_axis = []
         for axis, classes in zip(self.space.axes, self._classes, strict=True):
-            columns = [c for c in axis.columns if self._makes_scene(c)]
             first = np.array([int(points[0]) for points in classes])
-            labels = [self._company_labels(column, first) for column in columns]
-            names = list(zip(*labels, strict=True)) if labels else [()] * len(classes)
+            told = [labels(column, first) for column in axis.columns if counts(column)]
+            names = list(zip(*told, strict=True)) if told else [()] * len(classes)
             known: dict[tuple[str, ...], int] = {}
             per_axis.append([known.setdefault(name, len(known)) for name in names])
-        counts = tuple(max(ids) + 1 for ids in per_axis)
-        grids = np.meshgrid(*[np.array(ids) for ids in per_axis], indexing="ij")
-        return np.asarray(np.ravel_multi_index(tuple(grid.ravel() for grid in grids), counts))
+        sizes = tuple(max(ids) + 1 for ids in per_axis)
+        grids = np.meshgrid(*per_axis, indexing="ij")
+        return np.asarray(np.ravel_multi_index(tuple(grid.ravel() for grid in grids), sizes))
 
     def _company_labels(self, column: Column, points: Indices) -> list[str]:
         """What tells the values of a column apart where trajectories are to share a block."""
@@ -350,17 +356,7 @@ class Scenes:
 
         Scenes with the same body share one operator: same shape, discretisation and kind of flow.
         """
-        body_axes = []
-        for axis, classes in zip(self.space.axes, self._classes, strict=True):
-            columns = [c for c in axis.columns if _changes_body(c)]
-            first = np.array([int(points[0]) for points in classes])
-            rows = [self._labels(column, first) for column in columns]
-            names = [tuple(row) for row in zip(*rows, strict=True)] if rows else [()] * len(classes)
-            known: dict[tuple[str, ...], int] = {}
-            body_axes.append([known.setdefault(name, len(known)) for name in names])
-        counts = tuple(max(ids) + 1 for ids in body_axes)
-        grids = np.meshgrid(*[np.array(ids) for ids in body_axes], indexing="ij")
-        number = np.ravel_multi_index(tuple(grid.ravel() for grid in grids), counts)
+        number = self._alike(_changes_body, self._labels)
         _, representatives, body = np.unique(number, return_index=True, return_inverse=True)
         return body, [int(i) for i in representatives]
 
@@ -378,8 +374,3 @@ def _changes_body(column: Column) -> bool:
         # The numbers of a named flow leave its kind (polynomial or not) as it is.
         return not column.numeric
     return column.key[:2] == ASPECT_RATIO or column.key[0] == "hydrodynamics"
-
-
-def block_values(scenes: Scenes, block: Block) -> Mapping[Key, Any]:
-    """The swept values of a block's trajectories."""
-    return scenes.space.values(block.index)

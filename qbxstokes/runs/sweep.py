@@ -15,7 +15,6 @@ from qbxstokes.io import sweep as store
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.store import Work, holds_work, open_work, unwritable
 from qbxstokes.runs import handout
-from qbxstokes.runs.bodies import Swept, swept_scenes
 from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.gathering import Gathering, seconds_between
 from qbxstokes.runs.handout import HandOut
@@ -23,7 +22,7 @@ from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Progress
-from qbxstokes.runs.sweep_layout import layout_of, scales_of
+from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
 from qbxstokes.runs.target import result_path
 

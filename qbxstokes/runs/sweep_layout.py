@@ -1,4 +1,4 @@
-"""What the result of a sweep holds: columns of its table, quantities, scales."""
+"""What a sweep is of, motions or bodies, and what its result holds: columns, quantities, scales."""
 
 from __future__ import annotations
 
@@ -9,14 +9,63 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.case.space import column_name
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.case.space import Key, column_name
 from qbxstokes.io.sweep import REASON_LENGTH, Layout
-from qbxstokes.quantities import PARAMETER, STATUS, Quantity
-from qbxstokes.runs.bodies import Swept
+from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
+from qbxstokes.runs.plan import plan_body
+from qbxstokes.runs.scenes import Block, Scenes
 
 Array = NDArray[Any]
 
 _COORDINATE_PIECE = 65_536
+
+
+class BodyScenes:
+    """All bodies of a sweep, each computed alone: what `Scenes` says of motions, of them."""
+
+    nouns = "body", "bodies"
+    alone, block_size, samples = True, 1, 0
+    common_times: None = None
+    quantities: tuple[str, ...] = ()
+
+    def __init__(self, loaded: LoadedCase) -> None:
+        assert loaded.space is not None
+        assert loaded.case.sweep is not None
+        self.loaded, self.space = loaded, loaded.space
+        measure = loaded.case.sweep.measure
+        self.turns = 1 if measure is None else 1 + measure.repeats
+        self.size = self.blocks = self.space.size
+        # Without a flow a body neither moves nor has to be held.
+        moving = loaded.case.flow is not None
+        self.columns = {
+            name: about
+            for name, about in BODY_COLUMNS.items()
+            if moving or not name.startswith(("free_", "held_"))
+        }
+
+    def block(self, number: int) -> Block:
+        """A block by its number."""
+        return Block(number, ((number, np.array([number])),))
+
+    def block_sizes(self) -> Array:
+        """Bodies per block."""
+        return np.ones(self.size, dtype=np.int64)
+
+    @property
+    def skips(self) -> tuple[str, ...]:
+        """What is left out and why, as far as the first body tells for all."""
+        return plan_body(self.loaded).skips
+
+
+Swept = Scenes | BodyScenes
+
+
+def swept_scenes(loaded: LoadedCase) -> Swept:
+    """The scenes of a sweep: of motions, or of bodies."""
+    if loaded.case.task == "body":
+        return BodyScenes(loaded)
+    return Scenes(loaded)
 
 
 def layout_of(scenes: Swept) -> Layout:
@@ -44,18 +93,23 @@ def _coordinate_types(scenes: Swept) -> dict[str, Any]:
     """Columns of the swept values and their types; vectors one column per component."""
     types: dict[str, Any] = {}
     for _, column in scenes.space.columns:
-        name = column_name(column.key)
-        sample = column.take(np.arange(min(column.size, 1)))
-        if not column.numeric:
+        if column.numeric:
+            sample = column.take(np.arange(min(column.size, 1)))
+            types |= dict.fromkeys(_columns(column.key, sample), "f8")
+        else:
             assert column.values is not None
             words = [_word(value) for value in column.values.tolist()]
-            types[name] = f"S{max(1, *(len(word) for word in words))}"
-        elif sample.ndim == 1:
-            types[name] = "f8"
-        else:
-            first = 0 if sample.shape[1] == 4 else 1
-            types |= {f"{name}_{i + first}": "f8" for i in range(sample.shape[1])}
+            types[column_name(column.key)] = f"S{max(1, *(len(word) for word in words))}"
     return types
+
+
+def _columns(key: Key, values: Array) -> dict[str, Array]:
+    """Values (n,) of a key as a column, vectors as one per component; quaternions from 0 on."""
+    name = column_name(key)
+    if values.ndim == 1:
+        return {name: values}
+    first = 0 if values.shape[1] == 4 else 1
+    return {f"{name}_{i + first}": values[:, i] for i in range(values.shape[1])}
 
 
 def _word(value: Any) -> bytes:
@@ -66,16 +120,10 @@ def _word(value: Any) -> bytes:
 def coordinates_of(scenes: Swept, index: Array) -> dict[str, Array]:
     """Swept values of some trajectories as columns."""
     columns: dict[str, Array] = {}
-    by_key = {column.key: column for _, column in scenes.space.columns}
+    numeric = {column.key: column.numeric for _, column in scenes.space.columns}
     for key, values in scenes.space.values(index).items():
-        name = column_name(key)
-        if not by_key[key].numeric:
-            columns[name] = np.array([_word(value) for value in values.tolist()])
-        elif values.ndim == 1:
-            columns[name] = values
-        else:
-            first = 0 if values.shape[1] == 4 else 1
-            columns |= {f"{name}_{i + first}": values[:, i] for i in range(values.shape[1])}
+        words = values if numeric[key] else np.array([_word(value) for value in values.tolist()])
+        columns |= _columns(key, words)
     return columns
 
 

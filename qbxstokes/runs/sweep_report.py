@@ -6,9 +6,9 @@ from typing import Any
 
 from qbxstokes.case.space import column_name
 from qbxstokes.io.sweep import Layout
-from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.report import Rows, counted, duration, quantity, render, size
+from qbxstokes.runs.sweep_layout import Swept
 
 
 def _axes(scenes: Swept) -> Rows:

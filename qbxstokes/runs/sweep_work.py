@@ -21,7 +21,6 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.quantities import MOTION
 from qbxstokes.runs import block, handout
-from qbxstokes.runs.bodies import Swept
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.handout import HandOut
@@ -29,7 +28,7 @@ from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.progress import Progress
 from qbxstokes.runs.scenes import Scenes
-from qbxstokes.runs.sweep_layout import coordinates_of
+from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import body_of, pointed, simulation_of
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -303,7 +302,7 @@ class _Together:
             except QbxStokesError as error:
                 lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
         index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
-        safe = _Safe(self._gathering, str(number), [] if only is None else index.tolist())
+        keeper = block.Keeper(self._gathering, str(number), [] if only is None else index.tolist())
         result = block.compute_block(
             simulations,
             times,
@@ -312,7 +311,7 @@ class _Together:
             self._workshop,
             scenes.pushed,
             self._team.poke,
-            safe,
+            keeper,
         )
         return _Computed(index, result, lost)
 
@@ -326,24 +325,3 @@ class _Together:
             self._bodies[body] = body_of(scene.loaded)
         starts = block.starts_of(scene.loaded, self._scenes.space.values(index), len(index))
         return simulation_of(scene.loaded, self._bodies[body], starts)
-
-
-class _Safe:
-    """Keeps the state of a block in work on disk: see `block.Keeper`."""
-
-    def __init__(self, gathering: Gathering, name: str, only: list[int]) -> None:
-        self._gathering, self._name, self._only = gathering, name, only
-
-    def late(self, ahead: float) -> bool:
-        """Whether the state is to be saved now, the next chance being so many seconds ahead."""
-        return self._gathering.late(ahead)
-
-    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
-        """Make the state safe, and whatever else this rank has finished."""
-        self._gathering.save()
-        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
-
-    def load(self) -> tuple[dict[str, Array], dict[str, Any]] | None:
-        """The state that an earlier run has left of this block, None without one."""
-        found = self._gathering.work.state(self._name)
-        return found if found is not None and found[1]["only"] == self._only else None
