@@ -234,3 +234,16 @@ def solve_error(scene: Scene) -> float:
     forced = solve.force_torque(0.0, x, q, scene.velocity[None], scene.angular_velocity[None])
     difference = np.abs(np.concatenate([*free, *forced]) - scene.motion()).max(axis=1)
     return float(np.max(difference / scene.motion_scale))
+
+
+def phase_period(times: Array, axes: Array, aspect_ratio: float) -> tuple[float, float]:
+    """Period 2 pi/|slope| of the phase atan2(b, k a), and its largest residual in radians.
+
+    times (T,), axes (T, 3), at least twice a period. The phase is linear in time on a Jeffery
+    orbit; least squares, the residual is its deviation from uniform progress.
+    """
+    angle = np.unwrap(np.arctan2(axes[:, 1], aspect_ratio * axes[:, 0]))
+    centred = times - times.mean()
+    slope = float(centred @ (angle - angle.mean()) / (centred @ centred))
+    residual = float(np.max(np.abs(angle - angle.mean() - slope * centred)))
+    return 2.0 * np.pi / abs(slope), residual

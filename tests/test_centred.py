@@ -15,10 +15,11 @@ from qbxstokes.case.load import load_case
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
+from qbxstokes.motion.layout import Step
 from qbxstokes.petsc import stepper
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.system import RK_FORMULAS
-from qbxstokes.petsc.trajectory import Chunk, Step
+from qbxstokes.petsc.trajectory import Chunk
 from qbxstokes.runs.scenes import Scenes
 
 Array = np.ndarray
@@ -101,7 +102,7 @@ def test_rotation_alone_gives_the_whole_motion(
     found = sizes(monkeypatch)
     short = integrate(equations, start, times, 1e-7, method=method)
     assert set(found) == {4 if equations.massless else 7}
-    assert short.steps == full.steps
+    assert short.checkpoint.steps == full.checkpoint.steps
     assert np.abs(short.states - full.states).max() <= rounding
     assert np.array_equal(short.states[:, :, :3], np.broadcast_to(start[:, :3], (len(times), N, 3)))
     if rounding == 0.0:

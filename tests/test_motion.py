@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import random_flow
+from scenes import phase_period
 
 from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.polynomial import PolynomialFlow
@@ -274,9 +275,7 @@ def test_orbit_constant_and_phase() -> None:
     axes = jeffery.axis_at(times, k, start)
     constant = diagnostics.orbit_constant(axes, k)
     assert np.allclose(constant, constant[0], rtol=1e-12)
-    share = diagnostics.orbit_share(axes, k)
-    assert np.allclose(share, constant / (1.0 + constant))
-    found, residual = diagnostics.phase_period(times, diagnostics.jeffery_phase(axes, k))
+    found, residual = phase_period(times, axes, k)
     assert np.isclose(found, period, rtol=1e-12)
     assert residual < 1e-11
     frame = rotation.matrix(rotation.random_quaternions(1, RNG)[0])
@@ -287,17 +286,3 @@ def test_orbit_constant_and_phase() -> None:
 def test_orbit_constant_of_log_rolling_and_tumbling() -> None:
     axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
     assert np.array_equal(diagnostics.orbit_constant(axes, 2.0), [0.0, np.inf])
-    assert np.array_equal(diagnostics.orbit_share(axes, 2.0), [0.0, 1.0])
-
-
-def test_half_turns() -> None:
-    times = np.array([0.0, 1.0, 2.1, 3.1, 4.3])  # periods 2.1, 2.1, 2.2
-    axes = np.array([[0.6, 0.0, 0.8]] * 5)
-    found = diagnostics.half_turns(times, axes, 0.5)
-    assert np.allclose(found.periods, [2.1, 2.1, 2.2])
-    assert np.isclose(found.mean_period, 4.3 / 2)
-    assert np.isclose(found.period_drift, 0.1)
-    assert found.orbit_drift == pytest.approx(0.0, abs=1e-15)
-    few = diagnostics.half_turns(times[:2], axes[:2], 0.5)
-    assert np.isnan(few.mean_period)
-    assert np.isnan(few.period_drift)

@@ -103,13 +103,13 @@ def general_rates(
     law, _, _ = fore_aft.unpack_body(fore_aft.pack_body(model, True))
     head = unpack_flow(pack_flow(flow).tolist()), law, tuple(1.0 / x for x in drag), forces
     if equations.massless:
-        return lambda rows: fore_aft.massless(*rows, *head)
+        return lambda rows: fore_aft.massless(rows, *head)
     follow = None
     if inertia != "both":
         follow = float(inertia == "rotation"), float(inertia == "translation")
     rates = equations.relaxation_rates[:, 0].tolist()
     j1, _, j3 = Spheroid(model.aspect_ratio).inertia.tolist()
-    return lambda rows: fore_aft.inertial(*rows, *head, rates, (j3 - j1) / j1, follow)
+    return lambda rows: fore_aft.inertial(rows, *head, rates, (j3 - j1) / j1, follow)
 
 
 def operations(equations: RigidBodyEquations, monkeypatch: pytest.MonkeyPatch) -> int:

@@ -52,11 +52,11 @@ def orbit(name: str, periods: int, small: bool) -> Rows:
                 continue
             go = partial(integrate, equations, start, times, tolerance, method=method)
             span, run = timed(go, 1 if small else 5)
-            evaluations = run.evaluations
+            evaluations = run.checkpoint.evaluations
             error = float(np.abs(rotation.axis(run.states[-1, 0, 3:7]) - exact).max())
             row = {"orbit": name, "method": method, "tolerance": tolerance, "error": error}
-            row |= {"steps": run.steps, "right_hand_sides": evaluations}
-            row |= {"jacobians": run.jacobians, "time": span}
+            row |= {"steps": run.checkpoint.steps, "right_hand_sides": evaluations}
+            row |= {"jacobians": run.checkpoint.jacobians, "time": span}
             rows.append(row | {"taken": taken[tolerance] == method})
     return rows
 

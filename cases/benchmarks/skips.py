@@ -95,7 +95,7 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     yield "flow on the surface at a step", by_grid, by_table
     law, _, _ = fore_aft.unpack_body(fore_aft.pack_body(model, True))
     constants = unpack_flow(pack_flow(Shear()).tolist()), law, None, None
-    general = many(lambda t, rows: fore_aft.massless(*rows, *constants), state)
+    general = many(lambda t, rows: fore_aft.massless(rows, *constants), state)
     yield "terms that are zero at a right-hand side", general, many(equations.rate_of_rows, state)
     ball = plain_body(Spheroid(1.0), scheme).model
     laws = ball.faxen.quadratic, ball.faxen.cubic

@@ -39,13 +39,8 @@ class Bodies:
         self.law, self.mobility, self.gyration = self.kernels.unpack_body(numbers)
         self.resistance = self._columns(lambda entry: _resistance(entry, driven))
         self.inertia = self._columns(_inertia)
-        self.slenderness: Array = self._columns(_slenderness)
-
-    @property
-    def aspect_ratio(self) -> Array:
-        """Aspect ratios, (1,) or (n_lanes,)."""
-        ratios: Array = self._columns(lambda entry: [entry.aspect_ratio])[0]
-        return ratios
+        # Aspect ratios, (1,) or (n_lanes,).
+        self.aspect_ratio: Array = self._columns(lambda entry: [entry.aspect_ratio])[0]
 
     def _columns(self, numbers: Any) -> Array:
         table = self.models.table(numbers)
@@ -70,10 +65,3 @@ def _inertia(model: BodyModel) -> list[float]:
     spheroid = Spheroid(model.aspect_ratio)
     j1, _, j3 = spheroid.inertia.tolist()
     return [spheroid.volume, spheroid.volume, j1, j3]
-
-
-def _slenderness(model: BodyModel) -> list[float]:
-    """max(k, 1/k) and its square."""
-    k = model.aspect_ratio
-    slenderness = max(k, 1.0 / k)
-    return [slenderness, slenderness**2]

@@ -33,20 +33,10 @@ from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_MASSLESS, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
-from qbxstokes.motion.pieces import Evaluation, Inertia
-from qbxstokes.motion.providers import ForceTorque, FreeMotion
-from qbxstokes.motion.reported import Reported
+from qbxstokes.motion.pieces import Inertia, Pieces
 from qbxstokes.motion.tracing import specialise
 
-__all__ = [
-    "Constraints",
-    "Evaluation",
-    "ForceTorque",
-    "FreeMotion",
-    "Inertia",
-    "Loads",
-    "RigidBodyEquations",
-]
+__all__ = ["Constraints", "Inertia", "Loads", "RigidBodyEquations"]
 
 Array = NDArray[np.float64]
 
@@ -58,7 +48,7 @@ COMPILED_EVALUATIONS = 500_000
 COMPILED_EVALUATIONS_OF_FEW = 1_000
 
 
-class RigidBodyEquations(Reported):
+class RigidBodyEquations(Pieces):
     """dy/dt and its Jacobian for `n_lanes` lanes; see the module's text for the equations.
 
     model: the body model that all lanes share, or a sequence with one for each, of one class of
@@ -101,7 +91,7 @@ class RigidBodyEquations(Reported):
 
         still: centres that stay, where y is to be without them (`motion.centred`, compiled alone).
         """
-        return self._compiled("block", (still,)) if self.compiled(evaluations) else self.rates
+        return self._compiled("rate_block", (still,)) if self.compiled(evaluations) else self.rates
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the blocks (n_lanes, n_state, n_state)."""
@@ -161,14 +151,12 @@ class RigidBodyEquations(Reported):
         from qbxstokes.motion.compiled import compiled_loops
 
         block = self._block()
-        kind = "massless" if self.massless else "inertial"
-        run = compiled_loops(block.kernels, block.degree).by_name[f"{kind}_{loop}"]
-        inertia = () if self.massless else (block.rates, block.follow)
-        flow, body = block.flow, block.body
+        run = compiled_loops(block.kernels, block.degree).by_name[loop]
+        flow, body, rates, follow = block.flow, block.body, block.rates, block.follow
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads.at(t)
-            run(y, out, flow, body, loads, *inertia, *more)
+            run(y, out, flow, body, loads, rates, follow, *more)
 
         return function
 
@@ -229,23 +217,21 @@ class RigidBodyEquations(Reported):
         bodies = self.bodies
 
         def equations(rows: Any, more: Any) -> Any:
-            arguments = [*rows, self._flow, bodies.law, bodies.mobility]
-            arguments.append(tuple(more[:12]) if handed else loads)
+            pushes = tuple(more[:12]) if handed else loads
+            arguments = rows, self._flow, bodies.law, bodies.mobility, pushes
             if self.massless:
                 return bodies.kernels.massless(*arguments)
-            arguments += [more[-4:] if n_rates else rates, bodies.gyration, self._follow]
-            return bodies.kernels.inertial(*arguments)
+            relaxation = more[-4:] if n_rates else rates
+            return bodies.kernels.inertial(*arguments, relaxation, bodies.gyration, self._follow)
 
-        if not (self._flows.shared and bodies.models.shared):
+        if self._flows.shared and bodies.models.shared:
+            kernel = specialise(equations, self.n_state, 12 * handed + n_rates)
+            if not (handed or n_rates):
+                return kernel
+        else:
 
-            def general(t: float, rows: Any) -> Any:
-                forces = self._rows(given.at(t)) if given is not None and handed else ()
-                return equations(rows, (*forces, *(rates if n_rates else ())))
-
-            return general
-        kernel = specialise(equations, self.n_state, 12 * handed + n_rates)
-        if not (handed or n_rates):
-            return kernel
+            def kernel(t: float, rows: Any, more: Any) -> Any:
+                return equations(rows, more)
 
         def with_numbers(t: float, rows: Any) -> Any:
             forces = self._rows(given.at(t)) if given is not None and handed else ()

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.frames import symmetry_axis
-from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY
+from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY, Step
 
 Array = NDArray[np.float64]
 Row = Sequence[float]
@@ -35,30 +35,6 @@ _LARGEST_TURN = 1.0
 _STILL = 1e-8
 _ITERATIONS = 60
 _EPSILON = 4.0 * float(np.finfo(float).eps)
-
-
-class StepLike(Protocol):
-    """A step of an integrator; see `petsc.trajectory.Step`."""
-
-    @property
-    def before(self) -> float:
-        """Instant before the step."""
-
-    @property
-    def after(self) -> float:
-        """Instant after the step."""
-
-    @property
-    def start(self) -> Array:
-        """State before the step, (1, n_state)."""
-
-    @property
-    def end(self) -> Array:
-        """State after the step, (1, n_state)."""
-
-    @property
-    def state(self) -> Callable[[float], Array]:
-        """State at any instant between."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +125,7 @@ class Passage:
 
     def components(self, y: Row) -> tuple[float, float]:
         """Components of the axis along the normal and across it; zero for an axis at rest."""
-        d1, d2, d3 = symmetry_axis(*y[ORIENTATION])
+        d1, d2, d3 = symmetry_axis(y[ORIENTATION])
         n, a = self._normal, self._across
         along = d1 * n[0] + d2 * n[1] + d3 * n[2]
         across = d1 * a[0] + d2 * a[1] + d3 * a[2]
@@ -223,7 +199,7 @@ class Events:
             if event.name == "steady" and event.function(t, row) < 0.0:
                 self._record(event, t, y)
 
-    def __call__(self, step: StepLike) -> float | None:
+    def __call__(self, step: Step) -> float | None:
         """Events of a step, recorded in order; the instant at which the run ends, if it does."""
         for (t0, y0), (t1, y1) in pairwise(self._pieces(step)):
             hits = []
@@ -238,7 +214,7 @@ class Events:
                     return t
         return None
 
-    def _pieces(self, step: StepLike) -> list[tuple[float, Row]]:
+    def _pieces(self, step: Step) -> list[tuple[float, Row]]:
         """Instants and states that cut the step so that no half-turn is passed over."""
         begin: tuple[float, Row] = (step.before, step.start[0].tolist())
         todo: list[tuple[float, Row]] = [(step.after, step.end[0].tolist())]
@@ -256,7 +232,7 @@ class Events:
         return done
 
     def _crossing(
-        self, event: Event, step: StepLike, t0: float, y0: Row, t1: float, y1: Row
+        self, event: Event, step: Step, t0: float, y0: Row, t1: float, y1: Row
     ) -> float | None:
         """Instant in [t0, t1] at which the event's function changes sign, if it does."""
         function, name = event.function, event.name
@@ -312,7 +288,7 @@ def turning_point(equations: RigidBodyEquations, component: str, scale: float) -
         v, omega = equations.velocities(t, np.array(y)[None])
         if component[0] == "x":
             return float(v[0, index])
-        return float(np.cross(omega[0], symmetry_axis(*y[ORIENTATION]))[index])
+        return float(np.cross(omega[0], symmetry_axis(y[ORIENTATION]))[index])
 
     return Event(f"turning_{component}", rate, threshold=1e-12 * scale)
 
@@ -326,7 +302,7 @@ def steady(equations: RigidBodyEquations, rate: float, ends: bool) -> Event:
 
     def excess(t: float, y: Row) -> float:
         _, omega = equations.velocities(t, np.array(y)[None])
-        change = float(np.linalg.norm(np.cross(omega[0], symmetry_axis(*y[ORIENTATION]))))
+        change = float(np.linalg.norm(np.cross(omega[0], symmetry_axis(y[ORIENTATION]))))
         if not equations.massless:
             change += float(np.linalg.norm(np.array(equations.rate_of_rows(t, y))[VELOCITY]))
         return change - rate
@@ -350,7 +326,7 @@ def meeting(points: Array, aspect_ratio: float, least: float) -> Event:
     """The instant at which one of the points comes as near to the surface as `least`."""
 
     def within(t: float, y: Row) -> float:
-        axis = np.array(symmetry_axis(*y[ORIENTATION]))
+        axis = np.array(symmetry_axis(y[ORIENTATION]))
         return least - float(np.min(clearance(points, y[POSITION], axis, aspect_ratio)))
 
     reason = f"a singular point of the flow is {least:.3g} from the surface"

@@ -2,7 +2,8 @@
 
 Its free velocity and angular velocity in a polynomial flow of degree <= 3 follow from the axis d
 and the derivatives of the flow at the centre by few coefficients
-(`bie.functional.FaxenCoefficients`).
+(`bie.functional.FaxenCoefficients`). Drag acts along and across the axis, on translation and
+rotation apart.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion.drag import accelerations, driven_motion
 from qbxstokes.motion.frames import (
     body_axes,
     quaternion_rate_body,
@@ -22,14 +22,21 @@ from qbxstokes.motion.frames import (
     symmetry_axis,
 )
 from qbxstokes.motion.taylor import (
+    Matrix,
     Scalar,
     Twist,
     Vector,
+    add,
     add_third,
     contract,
     contract_third,
+    curl,
+    dot,
     laplacian,
     laplacian_gradient,
+    linear_velocity,
+    product,
+    transposed,
     velocity_and_gradient,
 )
 
@@ -67,9 +74,7 @@ def unpack_body(t: Any) -> Any:
     return ((t[0], t[1]), quadratic, cubic), (t[2], t[3], t[4], t[5]), t[6]
 
 
-def turning(
-    d1: Scalar, d2: Scalar, d3: Scalar, gradient: Any, rest: Scalar, linear: Scalar
-) -> Vector:
+def turning(d: Any, gradient: Any, rest: Scalar, linear: Scalar) -> Vector:
     """half * curl + linear * d x (E d) of a gradient A[i, j] given by rows, E = sym A.
 
     rest: half - |linear|/2. For a long body half and linear/2 are nearly equal, and for a flat one
@@ -77,13 +82,10 @@ def turning(
     A^T d + curl x d/2 it is rest curl + linear d x (A d) + |linear|/2 d (d.curl), with A^T in the
     place of A for linear < 0, where nothing cancels (d is of unit length).
     """
-    _, a12, a13, a21, _, a23, a31, a32, _ = gradient
-    w1, w2, w3 = a32 - a23, a13 - a31, a21 - a12
-    a11, a12, a13, a21, a22, a23, a31, a32, a33 = oriented(gradient, linear)
+    d1, d2, d3 = d
+    w1, w2, w3 = curl(gradient)
     along = 0.5 * abs(linear) * (d1 * w1 + d2 * w2 + d3 * w3)
-    e1 = a11 * d1 + a12 * d2 + a13 * d3
-    e2 = a21 * d1 + a22 * d2 + a23 * d3
-    e3 = a31 * d1 + a32 * d2 + a33 * d3
+    e1, e2, e3 = product(oriented(gradient, linear), d)
     return (
         rest * w1 + linear * (d2 * e3 - d3 * e2) + along * d1,
         rest * w2 + linear * (d3 * e1 - d1 * e3) + along * d2,
@@ -95,102 +97,60 @@ def oriented(gradient: Any, linear: Any) -> Any:
     """A gradient by rows, transposed where `linear` is negative."""
     if not isinstance(linear, np.ndarray):
         return oriented_by_number(gradient, linear)
-    a11, a12, a13, a21, a22, a23, a31, a32, a33 = gradient
-    flat = linear < 0.0
-    return (
-        a11,
-        np.where(flat, a21, a12),
-        np.where(flat, a31, a13),
-        np.where(flat, a12, a21),
-        a22,
-        np.where(flat, a32, a23),
-        np.where(flat, a13, a31),
-        np.where(flat, a23, a32),
-        a33,
-    )
+    pairs = zip(transposed(gradient), gradient, strict=True)
+    return tuple(np.where(linear < 0.0, one, other) for one, other in pairs)
 
 
 def oriented_by_number(gradient: Any, linear: float) -> Any:
     """`oriented` of one number, for the compiler: it makes selections of the branch."""
-    a11, a12, a13, a21, a22, a23, a31, a32, a33 = gradient
-    if linear < 0.0:
-        a12, a13, a21, a23, a31, a32 = a21, a31, a12, a32, a13, a23
-    return a11, a12, a13, a21, a22, a23, a31, a32, a33
+    return transposed(gradient) if linear < 0.0 else gradient
 
 
-def velocity_correction(d1: Scalar, d2: Scalar, d3: Scalar, second: Any, quadratic: Any) -> Vector:
+def velocity_correction(d: Any, second: Any, quadratic: Any) -> Vector:
     """The terms of the free velocity that second derivatives cause.
 
     q0 Lap u + q1 P + q2 d (d.Lap u) + q3 d (d.P) + q4 v with the matrix M_ij = B_ijk d_k,
     P = (d.grad)^2 u = M d and v = grad(d.(d.grad) u) = M^T d.
     """
     c0, c1, c2, c3, c4 = quadratic
+    d1, d2, d3 = d
     l1, l2, l3 = laplacian(second)
-    m11, m12, m13, m21, m22, m23, m31, m32, m33 = contract(second, d1, d2, d3)
-    p1 = m11 * d1 + m12 * d2 + m13 * d3
-    p2 = m21 * d1 + m22 * d2 + m23 * d3
-    p3 = m31 * d1 + m32 * d2 + m33 * d3
+    m = contract(second, d)
+    p1, p2, p3 = product(m, d)
+    v1, v2, v3 = product(transposed(m), d)
     along = c2 * (d1 * l1 + d2 * l2 + d3 * l3) + c3 * (d1 * p1 + d2 * p2 + d3 * p3)
     return (
-        c0 * l1 + c1 * p1 + along * d1 + c4 * (m11 * d1 + m21 * d2 + m31 * d3),
-        c0 * l2 + c1 * p2 + along * d2 + c4 * (m12 * d1 + m22 * d2 + m32 * d3),
-        c0 * l3 + c1 * p3 + along * d3 + c4 * (m13 * d1 + m23 * d2 + m33 * d3),
+        c0 * l1 + c1 * p1 + along * d1 + c4 * v1,
+        c0 * l2 + c1 * p2 + along * d2 + c4 * v2,
+        c0 * l3 + c1 * p3 + along * d3 + c4 * v3,
     )
 
 
-def turning_correction(d1: Scalar, d2: Scalar, d3: Scalar, third: Any, cubic: Any) -> Vector:
+def turning_correction(d: Any, third: Any, cubic: Any) -> Vector:
     """The terms of the free angular velocity that third derivatives cause.
 
     c0 (d.grad)^2 w + c1 d (d.(d.grad)^2 w) + c2 d x ((Lap E) d) + c3 d x (((d.grad)^2 E) d), with
     the gradients T = (d.grad)^2 A and L = Lap A in the place of A.
     """
     c1, of_second, of_laplacian = cubic
-    t = contract(contract_third(third, d1, d2, d3), d1, d2, d3)
-    lap = laplacian_gradient(third)
-    o1, o2, o3 = turning(d1, d2, d3, t, *of_second)
-    p1, p2, p3 = turning(d1, d2, d3, lap, *of_laplacian)
-    along = c1 * (d1 * (t[7] - t[5]) + d2 * (t[2] - t[6]) + d3 * (t[3] - t[1]))
+    d1, d2, d3 = d
+    t = contract(contract_third(third, d), d)
+    o1, o2, o3 = turning(d, t, *of_second)
+    p1, p2, p3 = turning(d, laplacian_gradient(third), *of_laplacian)
+    along = c1 * dot(d, curl(t))
     return o1 + p1 + along * d1, o2 + p2 + along * d2, o3 + p3 + along * d3
 
 
-def free_motion_linear(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    d3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
+def free_motion_linear(x: Any, d: Any, flow: Any, law: Any) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree <= 1.
 
     U = u, Omega = w/2 + lambda d x (E d) (Jeffery, Proc. R. Soc. A 102, 1922, eq. 37 with
     lambda = (1 - k^2)/(1 + k^2); Bretherton, J. Fluid Mech. 14, 1962).
     """
-    u1, u2, u3 = flow[1]
-    a11, a12, a13, a21, a22, a23, a31, a32, a33 = flow[2]
-    o1, o2, o3 = turning(d1, d2, d3, flow[2], *law[0])
-    return (
-        u1 + a11 * x1 + a12 * x2 + a13 * x3,
-        u2 + a21 * x1 + a22 * x2 + a23 * x3,
-        u3 + a31 * x1 + a32 * x2 + a33 * x3,
-        o1,
-        o2,
-        o3,
-    )
+    return linear_velocity(flow[1], flow[2], x) + turning(d, flow[2], *law[0])
 
 
-def free_motion_quadratic(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    d3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
+def free_motion_quadratic(x: Any, d: Any, flow: Any, law: Any) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree 2.
 
     The law of `free_motion_linear` with u and A taken at the centre, plus `velocity_correction`
@@ -198,116 +158,123 @@ def free_motion_quadratic(
     spheroid in a paraboloidal flow: Chwang, J. Fluid Mech. 72, 1975).
     """
     second = flow[3]
-    m = contract(second, x1, x2, x3)
-    (u1, u2, u3), gradient = velocity_and_gradient(x1, x2, x3, flow, m)
-    v1, v2, v3 = velocity_correction(d1, d2, d3, second, law[1])
-    o1, o2, o3 = turning(d1, d2, d3, gradient, *law[0])
-    return u1 + v1, u2 + v2, u3 + v3, o1, o2, o3
+    velocity, gradient = velocity_and_gradient(x, flow, contract(second, x))
+    corrected = add(velocity, velocity_correction(d, second, law[1]), 1.0)
+    return corrected + turning(d, gradient, *law[0])
 
 
-def free_motion_cubic(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    d3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
+def free_motion_cubic(x: Any, d: Any, flow: Any, law: Any) -> Twist:
     """Free velocity and angular velocity (space frame) in a flow of degree 3.
 
     The law of `free_motion_quadratic` with B taken at the centre, plus `turning_correction`.
     """
     _, _, _, second0, third, _ = flow
-    m, n = contract(second0, x1, x2, x3), contract_third(third, x1, x2, x3)
-    velocity, gradient0 = velocity_and_gradient(x1, x2, x3, flow, m)
-    (u1, u2, u3), gradient, second = add_third(x1, x2, x3, velocity, gradient0, second0, n)
-    v1, v2, v3 = velocity_correction(d1, d2, d3, second, law[1])
-    o1, o2, o3 = turning(d1, d2, d3, gradient, *law[0])
-    p1, p2, p3 = turning_correction(d1, d2, d3, third, law[2])
-    return u1 + v1, u2 + v2, u3 + v3, o1 + p1, o2 + p2, o3 + p3
+    velocity0, gradient0 = velocity_and_gradient(x, flow, contract(second0, x))
+    n = contract_third(third, x)
+    velocity, gradient, second = add_third(x, velocity0, gradient0, second0, n)
+    corrected = add(velocity, velocity_correction(d, second, law[1]), 1.0)
+    turns = turning(d, gradient, *law[0])
+    return corrected + add(turns, turning_correction(d, third, law[2]), 1.0)
 
 
-def free_motion_about(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    d3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
+def free_motion_about(x: Any, d: Any, flow: Any, law: Any) -> Twist:
     """`free_motion` with x relative to the flow's origin: the law of its degree."""
     if flow[0] <= 1:
-        return free_motion_linear(x1, x2, x3, d1, d2, d3, flow, law)
+        return free_motion_linear(x, d, flow, law)
     if flow[0] == 2:
-        return free_motion_quadratic(x1, x2, x3, d1, d2, d3, flow, law)
-    return free_motion_cubic(x1, x2, x3, d1, d2, d3, flow, law)
+        return free_motion_quadratic(x, d, flow, law)
+    return free_motion_cubic(x, d, flow, law)
 
 
-def free_motion(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    d3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
+def free_motion(x: Any, d: Any, flow: Any, law: Any) -> Twist:
     """Free velocity and angular velocity (space frame) in a polynomial flow.
 
     flow: (degree, velocity, gradient, second, third, origin), the derivatives taken at the origin;
     law: as `unpack_body` gives it.
     """
+    x1, x2, x3 = x
     o1, o2, o3 = flow[5]
-    return free_motion_about(x1 - o1, x2 - o2, x3 - o3, d1, d2, d3, flow, law)
+    return free_motion_about((x1 - o1, x2 - o2, x3 - o3), d, flow, law)
 
 
-def massless(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    q0: Scalar,
-    q1: Scalar,
-    q2: Scalar,
-    q3: Scalar,
-    flow: Any,
-    law: Any,
-    mobility: Any,
-    loads: Any,
-) -> Any:
+def free(y: Any, flow: Any, law: Any) -> Twist:
+    """`free_motion` of a body in the state y."""
+    return free_motion(y[0:3], symmetry_axis(y[3:7]), flow, law)
+
+
+def pushed(u: Any, space: Any, body: Any, axes: Matrix, transverse: Any, axial: Any) -> Vector:
+    """u + R^-1 (F + G) of a force fixed in space and one fixed in the body."""
+    u1, u2, u3 = u
+    f1, f2, f3 = space
+    g1, g2, g3 = body
+    a1, a2, a3, b1, b2, b3, d1, d2, d3 = axes
+    f1 = f1 + a1 * g1 + b1 * g2 + d1 * g3
+    f2 = f2 + a2 * g1 + b2 * g2 + d2 * g3
+    f3 = f3 + a3 * g1 + b3 * g2 + d3 * g3
+    f = (axial - transverse) * (f1 * d1 + f2 * d2 + f3 * d3)
+    return (
+        u1 + transverse * f1 + f * d1,
+        u2 + transverse * f2 + f * d2,
+        u3 + transverse * f3 + f * d3,
+    )
+
+
+def driven_motion(motion: Twist, axes: Matrix, mobility: Any, loads: Any) -> Twist:
+    """Motion at which the hydrodynamic force balances the loads: U + R^-1 F, Omega + R^-1 M.
+
+    mobility: the inverse resistances (translation transverse, axial, rotation transverse, axial).
+    loads: force fixed in space, force fixed in the body, torque fixed in space, torque fixed in
+    the body (12 numbers). The drag is linear, so that a body with inertia relaxes towards this
+    motion and not towards the free one: the loads enter nowhere else.
+    """
+    f1, f2, f3, g1, g2, g3, m1, m2, m3, n1, n2, n3 = loads
+    mt, ma, nt, na = mobility
+    move = pushed(motion[0:3], (f1, f2, f3), (g1, g2, g3), axes, mt, ma)
+    return move + pushed(motion[3:6], (m1, m2, m3), (n1, n2, n3), axes, nt, na)
+
+
+def accelerations(
+    v: Any, w: Any, motion: Twist, axes: Matrix, rates: Any, gyration: float
+) -> Twist:
+    """dV/dt (space) and dW/dt (body) of a body that drag pulls towards `motion`.
+
+    dV/dt = R_t (U - V)/(St Theta); dW/dt = J^-1 (R_r (R^T Omega - W)/St - W x (J W)).
+    rates: R_t/(St Theta) transverse and axial, R_r/(St J) transverse and axial.
+    gyration: (J3 - J1)/J1, which is (k^2 - 1)/(k^2 + 1) for a uniform spheroid.
+    """
+    w1, w2, w3 = w
+    omega = motion[3:6]
+    d1, d2, d3 = axes[6:9]
+    at, aa, bt, ba = rates
+    e1, e2, e3 = motion[0] - v[0], motion[1] - v[1], motion[2] - v[2]
+    along = (aa - at) * (e1 * d1 + e2 * d2 + e3 * d3)
+    spin = gyration * w3
+    return (
+        at * e1 + along * d1,
+        at * e2 + along * d2,
+        at * e3 + along * d3,
+        bt * (dot(axes[0:3], omega) - w1) - spin * w2,
+        bt * (dot(axes[3:6], omega) - w2) + spin * w1,
+        ba * (dot(axes[6:9], omega) - w3),
+    )
+
+
+def massless(y: Any, flow: Any, law: Any, mobility: Any, loads: Any) -> Any:
     """dy/dt of a body without inertia, y = (x, q): drag balances the loads at every instant.
 
     loads: as in `driven_motion`, or None for none.
     """
+    x, q = y[0:3], y[3:7]
     if loads is not None:
-        axes = body_axes(q0, q1, q2, q3)
-        motion = free_motion(x1, x2, x3, axes[6], axes[7], axes[8], flow, law)
-        u1, u2, u3, o1, o2, o3 = driven_motion(motion, axes, mobility, loads)
+        axes = body_axes(q)
+        motion = driven_motion(free_motion(x, axes[6:9], flow, law), axes, mobility, loads)
     else:
-        d1, d2, d3 = symmetry_axis(q0, q1, q2, q3)
-        u1, u2, u3, o1, o2, o3 = free_motion(x1, x2, x3, d1, d2, d3, flow, law)
-    r0, r1, r2, r3 = quaternion_rate_space(q0, q1, q2, q3, o1, o2, o3)
-    return u1, u2, u3, r0, r1, r2, r3
+        motion = free_motion(x, symmetry_axis(q), flow, law)
+    return motion[0:3] + quaternion_rate_space(q, motion[3:6])
 
 
 def inertial(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    q0: Scalar,
-    q1: Scalar,
-    q2: Scalar,
-    q3: Scalar,
-    v1: Scalar,
-    v2: Scalar,
-    v3: Scalar,
-    w1: Scalar,
-    w2: Scalar,
-    w3: Scalar,
+    y: Any,
     flow: Any,
     law: Any,
     mobility: Any,
@@ -322,36 +289,23 @@ def inertial(
     translation (rotation) without inertia: it moves with `motion` at every instant, and its part
     of the state, with its `rates`, is zero.
     """
-    axes = body_axes(q0, q1, q2, q3)
-    motion = free_motion(x1, x2, x3, axes[6], axes[7], axes[8], flow, law)
+    q, w = y[3:7], y[10:13]
+    v1, v2, v3 = y[7:10]
+    axes = body_axes(q)
+    motion = free_motion(y[0:3], axes[6:9], flow, law)
     if loads is not None:
         motion = driven_motion(motion, axes, mobility, loads)
-    r0, r1, r2, r3 = quaternion_rate_body(q0, q1, q2, q3, w1, w2, w3)
-    p1, p2, p3, s1, s2, s3 = accelerations(v1, v2, v3, w1, w2, w3, motion, axes, rates, gyration)
+    r0, r1, r2, r3 = quaternion_rate_body(q, w)
+    pull = accelerations(y[7:10], w, motion, axes, rates, gyration)
     if follow is not None:
-        u1, u2, u3, o1, o2, o3 = motion
+        u1, u2, u3, _, _, _ = motion
         move, turn = follow
-        g0, g1, g2, g3 = quaternion_rate_space(q0, q1, q2, q3, o1, o2, o3)
+        g0, g1, g2, g3 = quaternion_rate_space(q, motion[3:6])
         v1, v2, v3 = v1 + move * (u1 - v1), v2 + move * (u2 - v2), v3 + move * (u3 - v3)
         r0, r1 = r0 + turn * (g0 - r0), r1 + turn * (g1 - r1)
         r2, r3 = r2 + turn * (g2 - r2), r3 + turn * (g3 - r3)
-    return v1, v2, v3, r0, r1, r2, r3, p1, p2, p3, s1, s2, s3
-
-
-def free(
-    x1: Scalar,
-    x2: Scalar,
-    x3: Scalar,
-    q0: Scalar,
-    q1: Scalar,
-    q2: Scalar,
-    q3: Scalar,
-    flow: Any,
-    law: Any,
-) -> Twist:
-    """`free_motion` of a body at x and q."""
-    d1, d2, d3 = symmetry_axis(q0, q1, q2, q3)
-    return free_motion(x1, x2, x3, d1, d2, d3, flow, law)
+    moves, turns = (v1, v2, v3), (r0, r1, r2, r3)
+    return moves + turns + pull
 
 
 def for_compiler(degree: int) -> dict[str, Callable[..., Any]]:

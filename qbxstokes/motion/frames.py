@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from qbxstokes.motion.taylor import Matrix, Scalar, Vector
 
+Quaternion = tuple[Scalar, Scalar, Scalar, Scalar]
 
-def body_axes(q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar) -> Matrix:
+
+def body_axes(q: Any) -> Matrix:
     """Columns D1, D2, D3 of R(q), in this order, for a quaternion of any length."""
+    q0, q1, q2, q3 = q
     a, b, c, d = q0 * q0, q1 * q1, q2 * q2, q3 * q3
     s = 1.0 / (a + b + c + d)
     t = s + s
@@ -24,18 +29,19 @@ def body_axes(q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar) -> Matrix:
     )
 
 
-def symmetry_axis(q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar) -> Vector:
+def symmetry_axis(q: Any) -> Vector:
     """D3 alone, for a quaternion of any length."""
+    q0, q1, q2, q3 = q
     a, b, c, d = q0 * q0, q1 * q1, q2 * q2, q3 * q3
     s = 1.0 / (a + b + c + d)
     t = s + s
     return t * (q1 * q3 + q0 * q2), t * (q2 * q3 - q0 * q1), s * (a - b - c + d)
 
 
-def quaternion_rate_space(
-    q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar, o1: Scalar, o2: Scalar, o3: Scalar
-) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+def quaternion_rate_space(q: Any, omega: Any) -> Quaternion:
     """dq/dt = (0, Omega) * q / 2 with Omega in the space frame."""
+    q0, q1, q2, q3 = q
+    o1, o2, o3 = omega
     return (
         -0.5 * (o1 * q1 + o2 * q2 + o3 * q3),
         0.5 * (o1 * q0 + o2 * q3 - o3 * q2),
@@ -44,10 +50,10 @@ def quaternion_rate_space(
     )
 
 
-def quaternion_rate_body(
-    q0: Scalar, q1: Scalar, q2: Scalar, q3: Scalar, w1: Scalar, w2: Scalar, w3: Scalar
-) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+def quaternion_rate_body(q: Any, w: Any) -> Quaternion:
     """dq/dt = q * (0, W) / 2 with W in the body frame."""
+    q0, q1, q2, q3 = q
+    w1, w2, w3 = w
     return (
         -0.5 * (q1 * w1 + q2 * w2 + q3 * w3),
         0.5 * (q0 * w1 + q2 * w3 - q3 * w2),

@@ -11,6 +11,7 @@ column for every body of every lane, lane fastest: column body * lanes + lane.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,3 +74,17 @@ class Layout:
     def flat_by_lane(self, states: Array) -> Array:
         """The flat vector by lane of states (columns, n_state)."""
         return states.reshape(self.bodies, self.lanes, self.n_state).swapaxes(0, 1).ravel()
+
+
+@dataclass(frozen=True)
+class Step:
+    """An accepted step for an observer: instants before and after, states (columns, n_state).
+
+    state: the state at any instant between, as accurate as the steps.
+    """
+
+    before: float
+    after: float
+    start: Array
+    end: Array
+    state: Callable[[float], Array]

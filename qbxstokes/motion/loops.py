@@ -2,9 +2,9 @@
 
 y and dydt: (n_state, n_lanes). flow and body: what `pack_flow` and `pack_body` give, one column
 for all lanes, (m,), or one for each, (m, n_lanes), of which the last rows may be missing where the
-degree needs none of them. loads: (12, n_lanes) or None. rates: (4, n_lanes). jacobian:
-(n_lanes, n_state, n_state). follow: as in `inertial`. still: None, or centres (3, n_lanes) that
-stay at rest; y and dydt then hold q, and W, alone.
+degree needs none of them. loads: (12, n_lanes) or None. rates: (4, n_lanes), None for massless
+bodies. jacobian: (n_lanes, n_state, n_state). follow: as in `inertial`. still: None, or centres
+(3, n_lanes) that stay at rest; y and dydt then hold q, and W, alone.
 
 The lanes pass through tiles of fixed size, whose rows the compiler knows not to overlap: it then
 works on several lanes at once. It may not reorder arithmetic, so that the numbers are those of the
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 # Those of one class of laws stand for all: compiled.py puts in those of the class at hand.
 from qbxstokes.motion.fore_aft import N_NUMBERS, inertial, massless, unpack_body
 from qbxstokes.motion.kernels import STEP
-from qbxstokes.motion.layout import N_INERTIAL, N_MASSLESS, ORIENTATION, SPIN
-from qbxstokes.motion.taylor import N_FLOW, unpack_flow
+from qbxstokes.motion.layout import N_INERTIAL, ORIENTATION, SPIN
+from qbxstokes.motion.taylor import N_FLOW, six, unpack_flow
 
 Array = NDArray[np.float64]
 
@@ -65,177 +65,89 @@ def copy_back(tile: Any, target: Any, start: int, count: int) -> None:
             target[i, start + b] = tile[i, b]
 
 
-def column_of_loads(loads: Any, b: int) -> Any:
-    """The loads of lane b."""
-    return (
-        loads[0, b],
-        loads[1, b],
-        loads[2, b],
-        loads[3, b],
-        loads[4, b],
-        loads[5, b],
-        loads[6, b],
-        loads[7, b],
-        loads[8, b],
-        loads[9, b],
-        loads[10, b],
-        loads[11, b],
-    )
-
-
-def massless_block(
-    y: Any,
-    dydt: Any,
+def copy_constants(
+    start: int,
+    count: int,
     flow: Any,
+    u: Any,
     body: Any,
+    v: Any,
     loads: Any,
-    still: Any,
-) -> None:
-    """`massless` for every lane of a block."""
-    s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
-    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
-    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
-    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
-    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
-    first = 0 if still is None else _Q
-    for start in range(0, y.shape[1], TILE):
-        count = min(TILE, y.shape[1] - start)
-        if flow.ndim == 2:
-            copy_tile(flow, start, u, count)
-        if body.ndim == 2:
-            copy_tile(body, start, v, count)
-        if still is not None:
-            copy_tile(still, start, s, count)
-        copy_tile(y, start, s[first:], count)
-        if loads is not None:
-            copy_tile(loads, start, f, count)
-
-        for b in range(count):
-            law, mobility, _ = one_body if body.ndim == 1 else unpack_body(v[:, b])
-            rate = massless(
-                s[0, b],
-                s[1, b],
-                s[2, b],
-                s[3, b],
-                s[4, b],
-                s[5, b],
-                s[6, b],
-                one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
-                law,
-                mobility,
-                None if loads is None else column_of_loads(f, b),
-            )
-            for i in range(len(rate)):
-                r[i, b] = rate[i]
-        copy_back(r[first:], dydt, start, count)
-
-
-def massless_jacobian_block(
-    y: Any,
-    jacobian: Any,
-    flow: Any,
-    body: Any,
-    loads: Any,
-) -> None:
-    """d`massless`/dy for every lane of a block, one complex step per column."""
-    s, r, f = np.empty((N_MASSLESS, TILE)), np.empty((N_MASSLESS, TILE)), np.empty((12, TILE))
-    u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
-    v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
-    one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
-    one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
-    for start in range(0, y.shape[1], TILE):
-        count = min(TILE, y.shape[1] - start)
-        if flow.ndim == 2:
-            copy_tile(flow, start, u, count)
-        if body.ndim == 2:
-            copy_tile(body, start, v, count)
-        copy_tile(y, start, s, count)
-        if loads is not None:
-            copy_tile(loads, start, f, count)
-
-        for j in range(N_MASSLESS):
-            for b in range(count):
-                law, mobility, _ = one_body if body.ndim == 1 else unpack_body(v[:, b])
-                rate = massless(
-                    complex(s[0, b], STEP if j == 0 else 0.0),
-                    complex(s[1, b], STEP if j == 1 else 0.0),
-                    complex(s[2, b], STEP if j == 2 else 0.0),
-                    complex(s[3, b], STEP if j == 3 else 0.0),
-                    complex(s[4, b], STEP if j == 4 else 0.0),
-                    complex(s[5, b], STEP if j == 5 else 0.0),
-                    complex(s[6, b], STEP if j == 6 else 0.0),
-                    one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
-                    law,
-                    mobility,
-                    None if loads is None else column_of_loads(f, b),
-                )
-                for i in range(len(rate)):
-                    r[i, b] = rate[i].imag / STEP
-            for i in range(N_MASSLESS):
-                for b in range(count):
-                    jacobian[start + b, i, j] = r[i, b]
-
-
-def inertial_block(
-    y: Any,
-    dydt: Any,
-    flow: Any,
-    body: Any,
-    loads: Any,
+    f: Any,
     rates: Any,
-    follow: Any,
-    still: Any,
+    p: Any,
 ) -> None:
-    """`inertial` for every lane of a block."""
-    s, r, f, p = (
-        np.zeros((N_INERTIAL, TILE)),
-        np.empty((N_INERTIAL, TILE)),
-        np.empty((12, TILE)),
-        np.empty((4, TILE)),
+    """What differs from lane to lane into the tiles u, v, f and p."""
+    if flow.ndim == 2:
+        copy_tile(flow, start, u, count)
+    if body.ndim == 2:
+        copy_tile(body, start, v, count)
+    if loads is not None:
+        copy_tile(loads, start, f, count)
+    if rates is not None:
+        copy_tile(rates, start, p, count)
+
+
+def column(s: Any, b: int) -> Any:
+    """The state of lane b, of which a massless body reads the first part."""
+    return six(s[:, b], 0) + six(s[:, b], 6) + (s[12, b],)
+
+
+def moved_column(s: Any, b: int, j: int) -> Any:
+    """The same with a complex step of number j."""
+    return (
+        complex(s[0, b], STEP if j == 0 else 0.0),
+        complex(s[1, b], STEP if j == 1 else 0.0),
+        complex(s[2, b], STEP if j == 2 else 0.0),
+        complex(s[3, b], STEP if j == 3 else 0.0),
+        complex(s[4, b], STEP if j == 4 else 0.0),
+        complex(s[5, b], STEP if j == 5 else 0.0),
+        complex(s[6, b], STEP if j == 6 else 0.0),
+        complex(s[7, b], STEP if j == 7 else 0.0),
+        complex(s[8, b], STEP if j == 8 else 0.0),
+        complex(s[9, b], STEP if j == 9 else 0.0),
+        complex(s[10, b], STEP if j == 10 else 0.0),
+        complex(s[11, b], STEP if j == 11 else 0.0),
+        complex(s[12, b], STEP if j == 12 else 0.0),
     )
+
+
+def rate_of_lane(
+    y: Any, flow: Any, body: Any, loads: Any, f: Any, rates: Any, p: Any, follow: Any, b: int
+) -> Any:
+    """dy/dt of lane b in the state y, with its loads and rates from the tiles f and p."""
+    law, mobility, gyration = body
+    push = None if loads is None else six(f[:, b], 0) + six(f[:, b], 6)
+    if rates is None:
+        return massless(y, flow, law, mobility, push)
+    relaxation = p[0, b], p[1, b], p[2, b], p[3, b]
+    return inertial(y, flow, law, mobility, push, relaxation, gyration, follow)
+
+
+def rate_block(
+    y: Any, dydt: Any, flow: Any, body: Any, loads: Any, rates: Any, follow: Any, still: Any
+) -> None:
+    """dy/dt of every lane of a block."""
+    s, r = np.zeros((N_INERTIAL, TILE)), np.empty((N_INERTIAL, TILE))
+    f, p = np.empty((12, TILE)), np.empty((4, TILE))
     u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
     v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
     one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
     one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
-        if flow.ndim == 2:
-            copy_tile(flow, start, u, count)
-        if body.ndim == 2:
-            copy_tile(body, start, v, count)
+        copy_constants(start, count, flow, u, body, v, loads, f, rates, p)
         if still is None:
             copy_tile(y, start, s, count)
         else:
             copy_tile(still, start, s, count)
             copy_tile(y[:_N_Q], start, s[_Q:], count)
             copy_tile(y[_N_Q:], start, s[_W:], count)
-        if loads is not None:
-            copy_tile(loads, start, f, count)
-        copy_tile(rates, start, p, count)
         for b in range(count):
-            law, mobility, gyration = one_body if body.ndim == 1 else unpack_body(v[:, b])
-            rate = inertial(
-                s[0, b],
-                s[1, b],
-                s[2, b],
-                s[3, b],
-                s[4, b],
-                s[5, b],
-                s[6, b],
-                s[7, b],
-                s[8, b],
-                s[9, b],
-                s[10, b],
-                s[11, b],
-                s[12, b],
-                one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
-                law,
-                mobility,
-                None if loads is None else column_of_loads(f, b),
-                (p[0, b], p[1, b], p[2, b], p[3, b]),
-                gyration,
-                follow,
-            )
+            lane_flow = one_flow if flow.ndim == 1 else unpack_flow(u[:, b])
+            lane_body = one_body if body.ndim == 1 else unpack_body(v[:, b])
+            state = column(s, b)
+            rate = rate_of_lane(state, lane_flow, lane_body, loads, f, rates, p, follow, b)
             for i in range(len(rate)):
                 r[i, b] = rate[i]
         if still is None:
@@ -245,63 +157,28 @@ def inertial_block(
             copy_back(r[_W:], dydt[_N_Q:], start, count)
 
 
-def inertial_jacobian_block(
-    y: Any,
-    jacobian: Any,
-    flow: Any,
-    body: Any,
-    loads: Any,
-    rates: Any,
-    follow: Any,
+def jacobian_block(
+    y: Any, jacobian: Any, flow: Any, body: Any, loads: Any, rates: Any, follow: Any
 ) -> None:
-    """d`inertial`/dy for every lane of a block, one complex step per column."""
-    s, r, f, p = (
-        np.empty((N_INERTIAL, TILE)),
-        np.empty((N_INERTIAL, TILE)),
-        np.empty((12, TILE)),
-        np.empty((4, TILE)),
-    )
+    """d(dy/dt)/dy of every lane of a block, one complex step per column."""
+    s, r = np.zeros((N_INERTIAL, TILE)), np.empty((N_INERTIAL, TILE))
+    f, p = np.empty((12, TILE)), np.empty((4, TILE))
     u = np.empty((N_FLOW, TILE)) if flow.ndim == 2 else s
     v = np.empty((N_NUMBERS, TILE)) if body.ndim == 2 else s
     one_flow = unpack_flow(flow if flow.ndim == 1 else u[:, 0])
     one_body = unpack_body(body if body.ndim == 1 else v[:, 0])
     for start in range(0, y.shape[1], TILE):
         count = min(TILE, y.shape[1] - start)
-        if flow.ndim == 2:
-            copy_tile(flow, start, u, count)
-        if body.ndim == 2:
-            copy_tile(body, start, v, count)
+        copy_constants(start, count, flow, u, body, v, loads, f, rates, p)
         copy_tile(y, start, s, count)
-        if loads is not None:
-            copy_tile(loads, start, f, count)
-        copy_tile(rates, start, p, count)
-        for j in range(N_INERTIAL):
+        for j in range(y.shape[0]):
             for b in range(count):
-                law, mobility, gyration = one_body if body.ndim == 1 else unpack_body(v[:, b])
-                rate = inertial(
-                    complex(s[0, b], STEP if j == 0 else 0.0),
-                    complex(s[1, b], STEP if j == 1 else 0.0),
-                    complex(s[2, b], STEP if j == 2 else 0.0),
-                    complex(s[3, b], STEP if j == 3 else 0.0),
-                    complex(s[4, b], STEP if j == 4 else 0.0),
-                    complex(s[5, b], STEP if j == 5 else 0.0),
-                    complex(s[6, b], STEP if j == 6 else 0.0),
-                    complex(s[7, b], STEP if j == 7 else 0.0),
-                    complex(s[8, b], STEP if j == 8 else 0.0),
-                    complex(s[9, b], STEP if j == 9 else 0.0),
-                    complex(s[10, b], STEP if j == 10 else 0.0),
-                    complex(s[11, b], STEP if j == 11 else 0.0),
-                    complex(s[12, b], STEP if j == 12 else 0.0),
-                    one_flow if flow.ndim == 1 else unpack_flow(u[:, b]),
-                    law,
-                    mobility,
-                    None if loads is None else column_of_loads(f, b),
-                    (p[0, b], p[1, b], p[2, b], p[3, b]),
-                    gyration,
-                    follow,
-                )
+                lane_flow = one_flow if flow.ndim == 1 else unpack_flow(u[:, b])
+                lane_body = one_body if body.ndim == 1 else unpack_body(v[:, b])
+                state = moved_column(s, b, j)
+                rate = rate_of_lane(state, lane_flow, lane_body, loads, f, rates, p, follow, b)
                 for i in range(len(rate)):
                     r[i, b] = rate[i].imag / STEP
-            for i in range(N_INERTIAL):
+            for i in range(y.shape[0]):
                 for b in range(count):
                     jacobian[start + b, i, j] = r[i, b]

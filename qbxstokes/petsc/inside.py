@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.motion.layout import Step
 from qbxstokes.petsc.system import System
-from qbxstokes.petsc.trajectory import Step
 
 Array = NDArray[np.float64]
 

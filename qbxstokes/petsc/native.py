@@ -95,12 +95,9 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     still = c[after_rates:after_still].reshape(3, n) if _STILL else None
     y = _frozen(carray(_pointer(places[0]), (_STATE, n)))
     out = carray(_pointer(places[1]), (_STATE, n))
-    if _INERTIAL:
-        rates = c[after_loads:after_rates].reshape(4, n)
-        follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
-        _loop(y, out, flow, body, loads, rates, follow, still)
-    else:
-        _loop(y, out, flow, body, loads, still)
+    rates = c[after_loads:after_rates].reshape(4, n) if _INERTIAL else None
+    follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
+    _loop(y, out, flow, body, loads, rates, follow, still)
     failed = _restore_rate(rate, places[1:].ctypes)
     if failed:
         return failed
@@ -122,7 +119,7 @@ def _compiled(
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
     loops = compiled_loops(kernels, degree)
     namespace = globals() | {
-        "_loop": loops.by_name["inertial_block" if inertial else "massless_block"],
+        "_loop": loops.by_name["rate_block"],
         **dict(zip(("_STATE", "_FLOW", "_BODY"), sizes, strict=True)),
         "_FLOWS": flows,
         "_BODIES": bodies,

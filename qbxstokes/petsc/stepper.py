@@ -36,10 +36,10 @@ from petsc4py import PETSc
 from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.petsc.inside import FEW, Inside
 from qbxstokes.petsc.system import System
-from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Step, Trajectory
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,6 @@ States are (columns, n_state) as in `motion.layout`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,11 @@ class Checkpoint:
     """All that a run needs to go on, and its record so far; only `time` and `state` at the start.
 
     state (columns, n_state); step: the next one, 0 to choose; next_sample: index into the times.
-    method, local_tolerance and reachable are those of the run from its start; see `Trajectory`.
-    norm_drift: largest | |q| - 1 | that any cut met before it was removed.
+    method: TS type, or the formula of a Runge-Kutta type; local_tolerance: what the error of a step
+    is held to; reachable: about the error at the end that rounding alone leaves; all three as at
+    the start of the run. steps, rejections: accepted and rejected steps; evaluations, jacobians:
+    right-hand sides and Jacobians of the block. norm_drift: largest | |q| - 1 | that any cut met
+    before it was removed.
     """
 
     time: float
@@ -69,57 +71,3 @@ class Trajectory:
     stopped: bool = False
     refusal: str = ""
     failure: str = ""
-
-    @property
-    def method(self) -> str:
-        """TS type, or the formula of a Runge-Kutta type."""
-        return self.checkpoint.method
-
-    @property
-    def local_tolerance(self) -> float:
-        """What the error of a step was held to."""
-        return self.checkpoint.local_tolerance
-
-    @property
-    def reachable(self) -> float:
-        """About the error at the end that rounding alone leaves, however fine the tolerance."""
-        return self.checkpoint.reachable
-
-    @property
-    def steps(self) -> int:
-        """Accepted steps."""
-        return self.checkpoint.steps
-
-    @property
-    def rejections(self) -> int:
-        """Rejected steps."""
-        return self.checkpoint.rejections
-
-    @property
-    def evaluations(self) -> int:
-        """Right-hand sides of the block."""
-        return self.checkpoint.evaluations
-
-    @property
-    def jacobians(self) -> int:
-        """Jacobians of the block."""
-        return self.checkpoint.jacobians
-
-    @property
-    def norm_drift(self) -> float:
-        """Largest | |q| - 1 | before it was removed."""
-        return self.checkpoint.norm_drift
-
-
-@dataclass(frozen=True)
-class Step:
-    """An accepted step for an observer: instants before and after, states (columns, n_state).
-
-    state: the state at any instant between, as accurate as the steps.
-    """
-
-    before: float
-    after: float
-    start: Array
-    end: Array
-    state: Callable[[float], Array]

@@ -258,8 +258,8 @@ class _Integration:
         states = np.concatenate(kept)
         if not np.isfinite(states).all():
             raise ConvergenceError("the state is not finite")
-        self.result.steps += trajectory.steps * len(rows)
-        self.result.evaluations += trajectory.evaluations * len(rows)
+        self.result.steps += trajectory.checkpoint.steps * len(rows)
+        self.result.evaluations += trajectory.checkpoint.evaluations * len(rows)
         self._summarise(assembled, trajectory.checkpoint, states, rows)
         self.ended[name], self.begun = "done", None
         seconds = spent + clock.perf_counter() - begin

@@ -144,16 +144,16 @@ class Measurer:
         setup = setup or watch.median("setup")
         if plan.simulation.kind == "table":
             self._known[key] = body, setup
-        result.steps, result.evaluations = turns * trajectory.steps, turns * trajectory.evaluations
+        end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
+        result.steps, result.evaluations = turns * end.steps, turns * end.evaluations
         samples = assembled.observe(times, trajectory.states, tuple(MOTION))
         discard = self._scenes.loaded.case.sweep.discard
-        end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
         summarise(result, assembled, end, trajectory.states, samples, row, discard)
         alone = {name: array[:, 0] for name, array in samples.items()}
         return {
             "wall_time": watch.median("motion"),
             "setup_time": setup,
-            "rejected": float(trajectory.rejections),
+            "rejected": float(end.rejections),
             "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),
             "error": _error(loaded, lambda: compare_samples(assembled, times, alone)),
         }

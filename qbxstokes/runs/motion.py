@@ -87,7 +87,7 @@ def _computed(
         )
         if trajectory.refusal:
             events.ended = ("met_singularity", trajectory.refusal)
-    if trajectory.failure and not trajectory.steps:  # there is nothing to keep
+    if trajectory.failure and not trajectory.checkpoint.steps:  # there is nothing to keep
         recording.close(remove=True)
         raise ConvergenceError(trajectory.failure)
     if not trajectory.finished:

@@ -119,13 +119,14 @@ class Motion:
 
 def integration_facts(trajectory: Any) -> dict[str, Any]:
     """What an integration did, in numbers."""
+    record = trajectory.checkpoint
     return {
-        "method": trajectory.method,
-        "steps": trajectory.steps,
-        "rejected": trajectory.rejections,
-        "rhs_evaluations": trajectory.evaluations,
-        "jacobians": trajectory.jacobians,
-        "local_tolerance": trajectory.local_tolerance,
-        "reachable_error": trajectory.reachable,
-        "quaternion_norm_drift": trajectory.norm_drift,
+        "method": record.method,
+        "steps": record.steps,
+        "rejected": record.rejections,
+        "rhs_evaluations": record.evaluations,
+        "jacobians": record.jacobians,
+        "local_tolerance": record.local_tolerance,
+        "reachable_error": record.reachable,
+        "quaternion_norm_drift": record.norm_drift,
     }

@@ -58,7 +58,11 @@ def test_stokes_numbers(see: See) -> None:
                     k, stokes, gradient, start[0, 3:7], times, start[0, 10:13]
                 )
                 exact = rotation.axis(found.orientation)
-            see(float(np.abs(d - exact).max()), bound, f"k = {k:g}, St = {stokes:g}, {run.method}")
+            see(
+                float(np.abs(d - exact).max()),
+                bound,
+                f"k = {k:g}, St = {stokes:g}, {run.checkpoint.method}",
+            )
 
 
 @pytest.mark.slow
@@ -82,7 +86,7 @@ def test_long_runs(see: See) -> None:
         start = equations.initial_state(np.zeros(3), rotation.from_axis(axis))
         times = jeffery.period(k) * np.arange(10_001)
         run = integrate(equations, start, times, 1e-12, on_chunk=look, chunk_samples=256)
-        see(run.norm_drift, 1e-12, f"| |q| - 1 |, k = {k:g}")
+        see(run.checkpoint.norm_drift, 1e-12, f"| |q| - 1 |, k = {k:g}")
 
 
 @extents
