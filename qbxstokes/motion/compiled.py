@@ -37,10 +37,12 @@ class Loops:
 
 
 @cache
-def compiled_loops(kernels: ModuleType, degree: int) -> Loops:
-    """The loops for a class of laws (`kernels.KERNELS`) and flows of one degree."""
+def compiled_loops(kernels: ModuleType, degree: int, massless: bool) -> Loops:
+    """The loops for a class of laws (`kernels.KERNELS`), flows of one degree and St = 0 or not."""
     put_in: dict[str, Any] = {name: getattr(kernels, name) for name in _OF_THE_LAW}
     put_in |= kernels.for_compiler(degree) | {"unpack_flow": taylor.UNPACK[degree]}
+    if massless:
+        put_in["rate_of_lane"] = loops.massless_lane
     plain: dict[str, FunctionType] = {}
     namespace: dict[str, Any] = {}
 
@@ -67,7 +69,7 @@ def compiled_loops(kernels: ModuleType, degree: int) -> Loops:
         copy.__module__ = function.__module__
         # The cache tells functions apart by their qualified names.
         law = kernels.__name__.rpartition(".")[2]
-        copy.__qualname__ = f"{name}_{law}_{degree}_{version}"
+        copy.__qualname__ = f"{name}_{law}_{degree}_{massless:d}_{version}"
         return numba.njit(error_model="numpy", **options)(copy)
 
     for name, function in plain.items():

@@ -151,7 +151,7 @@ class RigidBodyEquations(Pieces):
         from qbxstokes.motion.compiled import compiled_loops
 
         block = self._block()
-        run = compiled_loops(block.kernels, block.degree).by_name[loop]
+        run = compiled_loops(block.kernels, block.degree, self.massless).by_name[loop]
         flow, body, rates, follow = block.flow, block.body, block.rates, block.follow
 
         def function(t: float, y: Array, out: Array) -> None:

@@ -112,16 +112,30 @@ def moved_column(s: Any, b: int, j: int) -> Any:
     )
 
 
-def rate_of_lane(
+def loads_of_lane(loads: Any, f: Any, b: int) -> Any:
+    """The loads of lane b from the tile f, or None."""
+    return None if loads is None else six(f[:, b], 0) + six(f[:, b], 6)
+
+
+def massless_lane(
     y: Any, flow: Any, body: Any, loads: Any, f: Any, rates: Any, p: Any, follow: Any, b: int
 ) -> Any:
-    """dy/dt of lane b in the state y, with its loads and rates from the tiles f and p."""
+    """dy/dt of lane b in the state y, with its loads from the tile f."""
+    law, mobility, _ = body
+    return massless(y, flow, law, mobility, loads_of_lane(loads, f, b))
+
+
+def inertial_lane(
+    y: Any, flow: Any, body: Any, loads: Any, f: Any, rates: Any, p: Any, follow: Any, b: int
+) -> Any:
+    """The same of a body with inertia, with its rates from the tile p."""
     law, mobility, gyration = body
-    push = None if loads is None else six(f[:, b], 0) + six(f[:, b], 6)
-    if rates is None:
-        return massless(y, flow, law, mobility, push)
     relaxation = p[0, b], p[1, b], p[2, b], p[3, b]
+    push = loads_of_lane(loads, f, b)
     return inertial(y, flow, law, mobility, push, relaxation, gyration, follow)
+
+
+rate_of_lane = inertial_lane  # compiled.py puts in that of the bodies at hand
 
 
 def rate_block(

@@ -117,7 +117,7 @@ def _compiled(
     still: bool,
 ) -> Any:
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
-    loops = compiled_loops(kernels, degree)
+    loops = compiled_loops(kernels, degree, not inertial)
     namespace = globals() | {
         "_loop": loops.by_name["rate_block"],
         **dict(zip(("_STATE", "_FLOW", "_BODY"), sizes, strict=True)),

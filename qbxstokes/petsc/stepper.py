@@ -98,7 +98,11 @@ def integrate(
     else:
         state = np.array(start, dtype=np.float64).reshape(shape)
         checkpoint = Checkpoint(t0, state)
-    run = Run(equations, checkpoint, instants, tolerance, method, prefix, longest_step, comm)
+    end, count = float(instants[-1]), len(instants)
+    system = System(
+        equations, checkpoint, end, count, tolerance, method, prefix, longest_step, comm
+    )
+    run = Run(system, checkpoint, instants)
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -119,34 +123,14 @@ def integrate(
 class Run:
     """One integration in progress."""
 
-    def __init__(
-        self,
-        equations: RigidBodyEquations,
-        checkpoint: Checkpoint,
-        times: Array,
-        tolerance: float,
-        method: str | None,
-        prefix: str,
-        longest_step: float | None,
-        comm: Any = PETSc.COMM_SELF,
-    ) -> None:
-        self.equations, self.checkpoint, self.times = equations, checkpoint, times
+    def __init__(self, system: System, checkpoint: Checkpoint, times: Array) -> None:
+        self._system, self.equations = system, system.equations
+        self.checkpoint, self.times = checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
-        self._largest, self._end = 0.0, float(times[-1])
-        self._system = System(
-            equations,
-            checkpoint,
-            self._end,
-            len(times),
-            tolerance,
-            method,
-            prefix,
-            longest_step,
-            comm,
-        )
-        self.counter = self._system.counter
-        database = PETSc.Options()
-        self._monitored = any(name.startswith(f"{prefix}ts_monitor") for name in database.getAll())
+        self._largest, self._end = 0.0, system.end
+        self.counter = system.counter
+        monitor = f"{system.prefix}ts_monitor"
+        self._monitored = any(name.startswith(monitor) for name in PETSc.Options().getAll())
         self.ts: Any = None
         self._inside: Any = None
         self._build()

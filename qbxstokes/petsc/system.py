@@ -59,7 +59,7 @@ class System:
         comm: Any = PETSc.COMM_SELF,
     ) -> None:
         self.equations, self.end, self._samples = equations, end, samples
-        self._prefix, self._longest, self._comm = prefix, longest_step, comm
+        self.prefix, self._longest, self._comm = prefix, longest_step, comm
         # What is integrated: the rotation alone where no centre can move. Compiled blocks take 1.2
         # to 2 times less then; with the plain kernels neither one body nor several gain anything.
         self._moving: RigidBodyEquations | CentredEquations = equations
@@ -85,7 +85,7 @@ class System:
     def integrator(self, vector: Any, adaptive: bool) -> Any:
         """A TS of the wanted type with its callbacks, as defaults below the options."""
         ts = PETSc.TS().create(self._comm)
-        ts.setOptionsPrefix(self._prefix)
+        ts.setOptionsPrefix(self.prefix)
         if self._wanted in RK_FORMULAS:
             ts.setType("rk")
             ts.setRKType(self._wanted)
@@ -97,7 +97,7 @@ class System:
         ts.setErrorIfStepFails(False)
         ts.setMaxStepRejections(100)
         # The Newton solver inside has the prefix ts_, apart from the solver of integral equations.
-        ts.getSNES().setOptionsPrefix(f"{self._prefix}ts_")
+        ts.getSNES().setOptionsPrefix(f"{self.prefix}ts_")
         defaults = {
             "ts_adapt_wnormtype": "infinity",
             **({"ts_adapt_dt_max": repr(self._longest)} if self._longest else {}),
@@ -108,7 +108,7 @@ class System:
             "ts_pc_type": "lu" if self.layout.lanes == 1 else "pbjacobi",
         }
         forced = {} if adaptive else {"ts_adapt_type": "none"}
-        with temporary_options(self._prefix, defaults, forced):
+        with temporary_options(self.prefix, defaults, forced):
             ts.setFromOptions()
         kind = str(ts.getType())
         self._by_lane = kind not in EXPLICIT_TYPES
