@@ -218,7 +218,8 @@ def test_a_measured_trajectory_is_the_single_motion(stokes: float) -> None:
     row = table[1]
     assert row["steps"] == steps["steps"]
     times = alone.time  # what watches for events takes some right-hand sides of its own
-    assert row["rhs_evaluations"] == qs.from_case(case).assemble().trajectory(times).evaluations
+    end = qs.from_case(case).assemble().trajectory(times).checkpoint
+    assert row["rhs_evaluations"] == end.evaluations
     assert row["rejected"] == steps["rejected"]
     assert row["error"] == max(alone.summary["errors"].values())
     assert table["error"][0] > table["error"][1] > 0.0

@@ -43,7 +43,7 @@ def orbit(name: str, periods: int, small: bool) -> Rows:
         scene = (k, stokes_number, Shear().gradient(np.zeros(3)), start[0, 3:7], times)
         exact = rotation.axis(inertial.linear_flow(*scene, start[0, 10:13]).orientation[1])
     tolerances = (1e-6, 1e-10) if small else (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
-    taken = {to: integrate(equations, start, times, to).method for to in tolerances}
+    taken = {to: integrate(equations, start, times, to).checkpoint.method for to in tolerances}
     rows: Rows = []
     for method in METHODS[: 2 if small else None]:
         evaluations = 0
