@@ -58,8 +58,9 @@ def blocks(sizes: tuple[int, ...], repeats: int, quaternions: Array) -> Rows:
         span, run = timed(go, repeats)
         axes = rotation.axis(run.states[-1][:, 3:7]) - rotation.axis(quaternions[:size])
         row = {"method": "block", "bodies": size, "error": float(np.abs(axes).max())}
-        row |= {"trajectories": size / span, "right_hand_sides": run.evaluations * size / span}
-        rows.append(row | {"steps": run.steps})
+        end = run.checkpoint
+        row |= {"trajectories": size / span, "right_hand_sides": end.evaluations * size / span}
+        rows.append(row | {"steps": end.steps})
     return rows
 
 

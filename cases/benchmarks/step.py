@@ -154,7 +154,8 @@ def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
 
     def run(name: str) -> float:
         begin = time.perf_counter()
-        counts[name] = integrate(ways[name], start, [end], 1e-8, method="8vr").checkpoint.evaluations
+        motion = integrate(ways[name], start, [end], 1e-8, method="8vr")
+        counts[name] = motion.checkpoint.evaluations
         return 1e6 * (time.perf_counter() - begin) / counts[name]
 
     spans = turns({name: partial(run, name) for name in ways}, rounds)
