@@ -6,7 +6,8 @@ import argparse
 import atexit
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,7 +92,7 @@ def _computed(
         progress="none" if quiet else "auto",
     )
 
-    with _OwnOptions():
+    with _own_options():
         status = compute_case(comm, path, read, options, (), Clock())
     result = load(target)
     if status and result.task != "sweep":
@@ -142,15 +143,15 @@ def _scratch() -> str:
     return holder.name
 
 
-class _OwnOptions:
-    """PETSc's options as they were before, so that those of a case end with it."""
+@contextmanager
+def _own_options() -> Iterator[None]:
+    """PETSc's options are afterwards as they were before: those of a case end with it."""
+    from qbxstokes.petsc import session
 
-    def __enter__(self) -> None:
-        from qbxstokes.petsc import session
-
-        self._options = session.start().Options()
-        self._before = dict(self._options.getAll())
-
-    def __exit__(self, *_: object) -> None:
-        for name in set(self._options.getAll()) - set(self._before):
-            self._options.delValue(name)
+    options = session.start().Options()
+    before = dict(options.getAll())
+    try:
+        yield
+    finally:
+        for name in set(options.getAll()) - set(before):
+            options.delValue(name)

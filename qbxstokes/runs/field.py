@@ -92,7 +92,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         np.array(section.force),
         np.array(section.torque),
     )
-    flow = FieldFlow(job.comm, loaded, section, clock)
+    flow = FieldFlow(job.comm, loaded, clock)
     work = FieldWork(job.comm, flow, [instant], folder)
     target = folder.target
     if job.comm.rank != 0:
@@ -186,7 +186,7 @@ def field_of_motion(
     ]
     key = json.dumps(plain(section.model_dump()))
     comm = ALONE if team is None else team.join(FIELD, instants, folder.joined(0), key)
-    flow = FieldFlow(comm, loaded, section, clock)
+    flow = FieldFlow(comm, loaded, clock)
     facts = FieldWork(comm, flow, instants, folder, key).write(writer)
     if section.tracers is not None:
         paths = flow.moving_tracers(assembled.equations, assembled.initial, float(times[-1]))
@@ -198,9 +198,7 @@ def help_with_field(
     comm: Any, loaded: LoadedCase, clock: Clock, instants: list[Instant], folder: Work, key: str
 ) -> None:
     """What the other ranks do for `field_of_motion`."""
-    section = loaded.case.field
-    assert section is not None
-    flow = FieldFlow(comm, loaded, section, clock)
+    flow = FieldFlow(comm, loaded, clock)
     FieldWork(comm, flow, instants, folder.joined(comm.rank), key).write(None)
 
 

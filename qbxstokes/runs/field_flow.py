@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.field import FlowAround
-from qbxstokes.case.field import FieldSection
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
 from qbxstokes.runs.clock import Clock
-from qbxstokes.runs.field_targets import Targets, targets_of
+from qbxstokes.runs.field_targets import in_space, targets_of
 from qbxstokes.runs.rows import rows_by_all
 from qbxstokes.simulation.around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
@@ -25,11 +24,11 @@ Array = NDArray[np.float64]
 class FieldFlow:
     """The flow around the body of a case, formed by all ranks, and the lines that follow it."""
 
-    def __init__(self, comm: Any, loaded: LoadedCase, section: FieldSection, clock: Clock) -> None:
+    def __init__(self, comm: Any, loaded: LoadedCase, clock: Clock) -> None:
+        section, body = loaded.case.field, body_of(loaded)
+        assert section is not None
         self.comm, self.loaded, self.section, self.clock = comm, loaded, section, clock
-        self.flow = loaded.flow
-        body = body_of(loaded)
-        self.spheroid = body.shape
+        self.flow, self.spheroid = loaded.flow, body.shape
         self.targets = targets_of(loaded, section)
         self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
 
@@ -54,9 +53,7 @@ class FieldFlow:
         else:
             share = np.linspace(0.0, 1.0, lines.number)[:, None]
             points = (1.0 - share) * np.array(lines.start) + share * np.array(lines.stop)
-        return Targets(
-            "lines", lines.frame, (len(points),), lambda begin, end: points[begin:end], {}
-        ).in_space(0, len(points), instant.position, instant.rotation)
+        return in_space(points, lines.frame, instant.position, instant.rotation)
 
     def streamlines(self, instant: Instant) -> Array:
         """Streamlines (lines, samples, 3) in space at the instant."""

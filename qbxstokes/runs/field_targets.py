@@ -36,11 +36,15 @@ class Targets:
         return int(np.prod(self.shape))
 
     def in_space(self, begin: int, end: int, position: Array, rotation: Array) -> Array:
-        """Points (end - begin, 3) in space for a body at the position with the rotation (3, 3)."""
-        points = self.points(begin, end)
-        if self.frame == "space":
-            return points
-        return (points @ rotation.T if self.frame == "body" else points) + position
+        """Points (end - begin, 3) in space, see `in_space`."""
+        return in_space(self.points(begin, end), self.frame, position, rotation)
+
+
+def in_space(points: Array, frame: str, position: Array, rotation: Array) -> Array:
+    """Points (N, 3) of a frame in space, for a body at the position with the rotation (3, 3)."""
+    if frame == "space":
+        return points
+    return (points @ rotation.T if frame == "body" else points) + position
 
 
 def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:

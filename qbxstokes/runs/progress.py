@@ -38,7 +38,7 @@ class Progress:
         self._begin = self._told = time.monotonic()
         self._interval = _LINE_INTERVALS[0] if style == "line" else _BAR_INTERVAL
         self._bar: Any = None
-        self._last, self._before, self._share = (0, 0), before, 0.0
+        self._before, self._share = before, 0.0
         if style == "bar":
             from tqdm import tqdm
 
@@ -54,18 +54,14 @@ class Progress:
 
         share: of the work that was to do at the start of this run, by what it costs.
         """
-        self._last, self._share = (done, failed), share
+        self._share = share
         if self.due:
             self._tell(done, failed)
 
-    def close(self, done: int | None = None, failed: int | None = None) -> None:
+    def close(self, done: int, failed: int) -> None:
         """Tell the last state."""
-        last = (
-            self._last[0] if done is None else done,
-            self._last[1] if failed is None else failed,
-        )
         if self._style != "none":
-            self._tell(*last)
+            self._tell(done, failed)
         if self._bar is not None:
             self._bar.close()
 

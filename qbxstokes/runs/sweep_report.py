@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from qbxstokes.case.space import column_name
 from qbxstokes.io.sweep import Layout
 from qbxstokes.runs.cost import START_SECONDS, Estimate
-from qbxstokes.runs.report import Rows, counted, duration, quantity, render, size
+from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size
 from qbxstokes.runs.sweep_layout import Swept
 
 
@@ -28,28 +29,24 @@ def _range(column: Any) -> str:
 
 def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:
     """What will run, how many, memory, disk and time."""
-    return (
-        render(
-            f"Sweep: {scenes.loaded.case.title or scenes.loaded.path.stem}",
-            str(scenes.loaded.path),
-            {
-                "Varies": list(_axes(scenes)),
-                "Runs": _runs(scenes, layout, estimate),
-                "Skips": [("", f"- {text}") for text in scenes.skips],
-                "Needs": [
-                    ("memory", f"about {size(estimate.memory)} on each rank"),
-                    ("disk", f"{size(layout.bytes)} for {target}, and as much again while it runs"),
-                    (
-                        "time",
-                        f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
-                        f"({duration(estimate.work)} of work; a factor of 2 either way), and "
-                        f"{duration(START_SECONDS)} to start",
-                    ),
-                ],
-            },
-        )
-        + "\n"
+    seconds = (
+        f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
+        f"({duration(estimate.work)} of work; a factor of 2 either way), and "
+        f"{duration(START_SECONDS)} to start"
     )
+    needs = [
+        ("memory", f"about {size(estimate.memory)} on each rank"),
+        ("disk", f"{size(layout.bytes)} for {target}, and as much again while it runs"),
+        ("time", seconds),
+    ]
+    runs = _runs(scenes, layout, estimate)
+    return _text(scenes, {"Runs": runs, "Skips": listed(scenes.skips), "Needs": needs}) + "\n"
+
+
+def _text(scenes: Swept, sections: Mapping[str, Rows]) -> str:
+    loaded = scenes.loaded
+    title = f"Sweep: {loaded.case.title or loaded.path.stem}"
+    return render(title, str(loaded.path), {"Varies": _axes(scenes), **sections})
 
 
 def _runs(scenes: Swept, layout: Layout, estimate: Estimate) -> Rows:
@@ -79,19 +76,10 @@ def summary_text(scenes: Swept, summary: dict[str, Any]) -> str:
         done += ", in {} of {}".format(*parts)
     times = summary["wall_times"]
     spent = ", ".join(f"{name} {duration(value)}" for name, value in times.items())
-    return render(
-        f"Sweep: {scenes.loaded.case.title or scenes.loaded.path.stem}",
-        str(scenes.loaded.path),
-        {
-            "Varies": list(_axes(scenes)),
-            "Solved": [
-                (scenes.nouns[1], done),
-                *([("right-hand sides", evaluated)] if summary["rhs_evaluations"] else []),
-            ],
-            "Times": [
-                ("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}"),
-                ("rank 0", spent),
-            ],
-            "Result": [("file", summary["result"])],
-        },
-    )
+    solved = [(scenes.nouns[1], done)]
+    if summary["rhs_evaluations"]:
+        solved.append(("right-hand sides", evaluated))
+    spans = [("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}")]
+    spans.append(("rank 0", spent))
+    result = [("file", summary["result"])]
+    return _text(scenes, {"Solved": solved, "Times": spans, "Result": result})
