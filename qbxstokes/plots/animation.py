@@ -136,9 +136,7 @@ class View:
         self._spheroid = Spheroid(aspect_ratio)
         self._reach = 1.35 * self._size
         limit = 1.12 * self._reach
-        axes.set_xlim(-limit, limit)
-        axes.set_ylim(-limit, limit)
-        axes.set_aspect("equal")
+        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
         axes.set_axis_off()
         body: Any = PolyCollection([], zorder=3, linewidths=0.7, closed=True)
         axes.add_collection(body, autolim=False)
@@ -284,9 +282,12 @@ class Film:
         palette = Image.new("P", (1, 1))
         palette.putpalette(_palette())
         pictures = []
+        canvas: Any = self.figure.canvas
         for frame in range(self.frames):
             self.show(frame)
-            pictures.append(self._picture().quantize(palette=palette, dither=Image.Dither.NONE))
+            canvas.draw()
+            picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+            pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
         pictures[0].save(
             path,
             format="GIF",
@@ -295,13 +296,6 @@ class Film:
             duration=max(20, round(1000 / self.fps)),
             loop=0,
         )
-
-    def _picture(self) -> Any:
-        from PIL import Image
-
-        canvas: Any = self.figure.canvas
-        canvas.draw()
-        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
     def _save_mp4(self, path: Path) -> None:
         from matplotlib.animation import FFMpegWriter
@@ -332,12 +326,13 @@ def animate(
     Raises CaseError and ResultFileError where the file does not hold what is needed.
     """
     motion = Frames.of(result, frames, window)
-    k = aspect_ratio(result)
     beside = moves(result)
     width = 2.0 * _SIDE if beside else _SIDE
     with style.styled():
         figure = _blank(width)
-        scene = View(figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, k, camera)
+        scene = View(
+            figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, aspect_ratio(result), camera
+        )
         place = _place_beside(figure, result, motion) if beside else None
 
     def show(frame: int) -> None:

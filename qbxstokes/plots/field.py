@@ -57,11 +57,11 @@ def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
 def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
     """Speed in the plane, and streamlines of the velocity relative to the body's centre."""
     plane = result.groups["field"]["plane"]
-    a, b = _coordinates(plane)
+    a, b = plane["first_coordinate"], plane["second_coordinate"]
     velocity = plane["velocity"][step] - _state(result, step, "velocity")
     shape = tuple(plane["shape"])
-    axes_of_plane = _directions(result, plane, step)
-    along = [(velocity @ direction).reshape(shape).T for direction in axes_of_plane]
+    directions = _directions(result, plane, step)
+    along = [(velocity @ direction).reshape(shape).T for direction in directions]
     # Inside the body its own motion, so that colours reach the outline; the body covers it.
     arms = plane["points"][step] - _state(result, step, "position")
     rigid = np.cross(_state(result, step, "angular_velocity"), arms)
@@ -141,9 +141,7 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
             scale=5.0 * longest / reach,
             width=0.007,
         )
-        axes.set_aspect("equal")
-        axes.set_xlim(-reach, reach)
-        axes.set_ylim(-reach, reach)
+        axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
         axes.set_title(name, loc="left", pad=4)
         across = names[0]
         if side < 0:
@@ -178,7 +176,7 @@ def error_figure(result: ResultLike) -> Figure:
 
     field = result.groups["field"]
     plane, error = field["plane"], field["error"]
-    a, b = _coordinates(plane)
+    a, b = plane["first_coordinate"], plane["second_coordinate"]
     figure, axes = _plane_axes(plane)
     size = np.maximum(error["error"], _LEAST_ERROR)
     i, j = np.unravel_index(error["index"], tuple(plane["shape"]))
@@ -203,13 +201,9 @@ def error_figure(result: ResultLike) -> Figure:
     return figure
 
 
-def _coordinates(plane: Mapping[str, Any]) -> tuple[Array, Array]:
-    return plane["first_coordinate"], plane["second_coordinate"]
-
-
 def _plane_axes(plane: Mapping[str, Any]) -> tuple[Figure, Axes]:
     """Figure and axes of the plane's shape, with room for the colour bar."""
-    a, b = _coordinates(plane)
+    a, b = plane["first_coordinate"], plane["second_coordinate"]
     shape = (b[-1] - b[0]) / (a[-1] - a[0])
     width = style.COLUMN if shape > 1.5 else 1.35 * style.COLUMN
     figure = style.new_figure(width, min(max(0.74 * width * shape + 0.45, 1.6), 8.0))
