@@ -54,6 +54,14 @@ LINES: tuple[tuple[str, Any, str], ...] = (
 # More samples than this are drawn as pixels inside vector files, which stay small.
 RASTER_LIMIT = 20_000
 
+_TICKS = {
+    "labelsize": 8,
+    "direction": "in",
+    "major.width": 0.6,
+    "major.size": 3,
+    "minor.width": 0.4,
+    "minor.size": 1.6,
+}
 _SETTINGS: dict[str, Any] = {
     "font.family": "serif",
     "font.serif": ["STIXGeneral"],  # comes with matplotlib, so every machine has it
@@ -61,8 +69,6 @@ _SETTINGS: dict[str, Any] = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
     "legend.fontsize": 8,
     "legend.frameon": False,
     "legend.borderaxespad": 0.3,
@@ -79,18 +85,9 @@ _SETTINGS: dict[str, Any] = {
     "axes.grid": False,
     "grid.linewidth": 0.4,
     "grid.color": PALE,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
     "xtick.top": True,
     "ytick.right": True,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "xtick.minor.size": 1.6,
-    "ytick.minor.size": 1.6,
+    **{f"{axis}tick.{key}": value for axis in "xy" for key, value in _TICKS.items()},
     "image.cmap": SEQUENTIAL,
     "figure.dpi": 150,
     "figure.constrained_layout.use": True,
