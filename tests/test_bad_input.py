@@ -27,7 +27,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qbxstokes.__main__ import main
-from qbxstokes.case.model import section_of
 from qbxstokes.case.schema import keys
 from qbxstokes.cli import main as cli
 from qbxstokes.flows import REGISTRY
@@ -135,7 +134,7 @@ def with_key(name: str, value: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", KEYS)
 def test_every_key_refuses_what_it_cannot_use(name: str) -> None:
-    plain = section_of(KEYS[name].annotation) is None and name not in ("petsc", "task")
+    plain = KEYS[name].reader.section is None and name not in ("petsc", "task")
     is_text = judge(json.dumps(with_key(name, "abc"))).status == 0
     for wrong, value in WRONG.items():
         outcome = judge(json.dumps(with_key(name, value)))

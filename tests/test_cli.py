@@ -14,11 +14,11 @@ import pytest
 from conftest import ROOT, Run
 
 import qbxstokes
-from qbxstokes.case.describe import starter
 from qbxstokes.case.document import parse, read_text
 from qbxstokes.case.load import load_case
 from qbxstokes.case.schema import FOREIGN, Case
 from qbxstokes.cli.main import run_command, split_arguments
+from qbxstokes.cli.starter import starter
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load
@@ -117,7 +117,7 @@ def test_starters_fit_a_terminal_and_hold_what_their_task_takes(task: str, tmp_p
     path = tmp_path / "all.yaml"
     path.write_text(re.sub(r"^# ", "", text, flags=re.MULTILINE))
     sections = set(parse(read_text(path), "all.yaml").data)
-    assert sections == {name for name in Case.model_fields if (name,) not in FOREIGN[task]}
+    assert sections == {name for name in Case.declared if (name,) not in FOREIGN[task]}
 
 
 @pytest.mark.parametrize(

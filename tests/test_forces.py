@@ -12,10 +12,11 @@ import pytest
 from conftest import ROOT, Run
 
 from qbxstokes.case.load import load_case
-from qbxstokes.case.timed import expression_in_time, timed
+from qbxstokes.case.values import expression_in_time
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.simulation.from_case import loads_and_constraints
+from qbxstokes.simulation.timed import timed
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {

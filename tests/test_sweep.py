@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 
 import qbxstokes
+from qbxstokes.case.document import parse_key
 from qbxstokes.case.load import load_case
-from qbxstokes.case.space import column_name, parse_key
+from qbxstokes.case.sweep import column_name
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
@@ -183,6 +184,9 @@ def test_blocks_hold_every_trajectory_once_and_one_decade_each(
         ({"output.file": ["a", "b"]}, "output is the same for all"),
         ({"time.samples": [2, 3]}, "time.samples is the same for all"),
         ({"table": "none.csv"}, "cannot be read"),
+        ({"start.position[7]": [1]}, "start.position: is a mapping of keys"),
+        ({"body.aspect_ratio.x": [1]}, "body.aspect_ratio: is not a section"),
+        ({"body.stokes_number": {"linspace": [0, 1], "count": 2, "seed": 1}}, "seed: has no mean"),
         ({"flow.rat": [1]}, "did you mean 'rate'"),
     ],
 )

@@ -1,6 +1,6 @@
 """YAML text -> plain Python data that remembers the line of every key.
 
-The tree is built here from the parser's events rather than by PyYAML's constructors, so that
+The data are made here from PyYAML's nodes rather than by its constructors, so that
 
 - scalars follow YAML 1.2: `1e-6` is a number, `on` and `no` are strings, `1:30` is not 90;
 - a key given twice is an error, and so are tags, since loading a case must not run code;
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,17 +20,19 @@ from typing import Any
 import numpy as np
 import yaml
 
+from qbxstokes.case.model import Section
+from qbxstokes.case.values import Key, Problem
 from qbxstokes.errors import CaseError, escaped
 
 MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 24
 MAX_NODES = 100_000
 
-Key = tuple[str | int, ...]
-
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _NOT_FINITE = re.compile(r"(?i)([-+]?\.inf|\.nan)\Z")
+ORIENTATION: Key = ("start", "orientation")
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONSTANTS = {"true": True, "True": True, "TRUE": True}
 _CONSTANTS |= {"false": False, "False": False, "FALSE": False}
 _CONSTANTS |= dict.fromkeys(("", "~", "null", "Null", "NULL"))  # type: ignore[arg-type]
@@ -53,14 +55,36 @@ def key_text(key: Key) -> str:
     return printable(text, 120)
 
 
-@dataclass
-class _Node:
-    """A value, its line, and for containers the children in `value` and their expanded count."""
+def parse_key(text: str) -> Key:
+    """'start.position[1]' or 'start.position.1' -> ('start', 'position', 1)."""
+    parts = text.strip().replace("[", ".").replace("]", "").split(".")
+    return tuple(int(part) if re.fullmatch("[0-9]{1,9}", part) else part for part in parts)
 
-    value: Any
-    line: int
-    size: int = 1
-    key_lines: dict[str, int] = field(default_factory=dict)
+
+def assigned(data: Any, key: Key, value: Any, path: Key = ()) -> Any:
+    """A copy of nested plain data with `key` set; what is not on the way is shared.
+
+    path: of the data, for messages. Raises Problem where the key leads nowhere.
+    """
+    if not key:
+        return value
+    part, rest, below = key[0], key[1:], (*path, key[0])
+    if data is None and part in (0, 1, 2):
+        data = [0.0] * 3
+    if isinstance(data, list):
+        if not isinstance(part, int) or part >= len(data):
+            right = f"use an index from 0 to {len(data) - 1}"
+            raise Problem(f"is a list of {len(data)} entries", right, path)
+        return [*data[:part], assigned(data[part], rest, value, below), *data[part + 1 :]]
+    if not isinstance(data, dict | None):
+        raise Problem("is not a section", "set it as a whole", path)
+    copied, part = dict(data or {}), str(part)
+    inner = copied.get(part)
+    if part == ORIENTATION[-1] and rest and isinstance(inner, dict):
+        # The forms of an orientation exclude each other: the swept one replaces the case's.
+        inner = {form: entry for form, entry in inner.items() if form == rest[0]}
+    copied[part] = assigned(inner, rest, value, below)
+    return copied
 
 
 @dataclass
@@ -100,38 +124,14 @@ class Document:
     def override(self, assignment: str) -> None:
         """Apply one `--set section.key=value`; the value is read as YAML."""
         target, equals, text = assignment.partition("=")
-        key: Key = tuple(
-            int(part) if re.fullmatch("[0-9]{1,9}", part) else part
-            for part in re.sub(r"\[([0-9]+)\]", r".\1", target.strip()).split(".")
-        )
-        if not equals or not all(part != "" for part in key):
-            raise CaseError(
-                f"--set {printable(assignment)}: not an assignment; "
-                "write --set section.key=value, for example --set body.aspect_ratio=0.2"
-            )
-        origin = f"--set {printable(assignment)}"
-        value = _plain(_compose(text, origin), (), {})
-        holder: Any = self.data
-        for depth, part in enumerate(key):
-            last = depth == len(key) - 1
-            if isinstance(holder, list):
-                if not isinstance(part, int) or part >= len(holder):
-                    raise CaseError(
-                        f"{origin}: {key_text(key[:depth])} is a list of {len(holder)} entries; "
-                        f"use an index from 0 to {len(holder) - 1}"
-                    )
-            elif isinstance(holder, dict):
-                part = str(part)
-            else:
-                raise CaseError(
-                    f"{origin}: {key_text(key[:depth])} is not a section; "
-                    f"set it as a whole: --set {key_text(key[:depth])}=..."
-                )
-            if last:
-                holder[part] = value
-            elif isinstance(holder, dict) and holder.get(part) is None:
-                holder[part] = {}
-            holder = holder[part]
+        origin, key = f"--set {printable(assignment)}", parse_key(target)
+        if not equals or "" in key:
+            right = "write --set section.key=value, for example --set body.aspect_ratio=0.2"
+            raise CaseError(f"{origin}: not an assignment; {right}")
+        try:
+            self.data = assigned(self.data, key, _read(text, origin)[0])
+        except Problem as problem:
+            raise CaseError(f"{origin}: {key_text(problem.key)} {problem}") from None
         self.overrides[key] = assignment
 
 
@@ -171,36 +171,22 @@ def read_text(path: Path) -> str:
 
 def parse(text: str, name: str) -> Document:
     """The document of one case; raises CaseError with file and line."""
-    root = _compose(text, name)
-    if root.value is None:
+    data, lines = _read(text, name)
+    if data is None:
         raise CaseError(f"{name}:1: is empty; a case needs at least body, flow and time")
-    if not isinstance(root.value, dict):
-        raise CaseError(
-            f"{name}:{root.line}: the case is not a set of keys; write sections such as `body:`"
-        )
-    lines: dict[Key, int] = {(): root.line}
-    return Document(name=name, text=text, data=_plain(root, (), lines), lines=lines)
+    if not isinstance(data, dict):
+        what = "the case is not a set of keys; write sections such as `body:`"
+        raise CaseError(f"{name}:{lines[()]}: {what}")
+    return Document(name=name, text=text, data=data, lines=lines)
 
 
-def _plain(node: _Node, key: Key, lines: dict[Key, int]) -> Any:
-    """Plain data under `node`, entering the line of each key in `lines`."""
-    if isinstance(node.value, dict):
-        for name in node.value:
-            lines[(*key, name)] = node.key_lines[name]
-        return {name: _plain(child, (*key, name), lines) for name, child in node.value.items()}
-    if isinstance(node.value, list):
-        for index, child in enumerate(node.value):
-            lines[(*key, index)] = child.line
-        return [_plain(child, (*key, index), lines) for index, child in enumerate(node.value)]
-    return node.value
-
-
-def _events(text: str, name: str) -> Iterator[Any]:
-    import yaml
-
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+def _read(text: str, name: str) -> tuple[Any, dict[Key, int]]:
+    """Plain data and the line of each key in them."""
+    name = printable(name, 400)
+    lines: dict[Key, int] = {}
     try:
-        yield from yaml.parse(text, Loader=loader)
+        _check_events(text, name)
+        node = yaml.compose(text, Loader=_LOADER)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
@@ -211,91 +197,64 @@ def _events(text: str, name: str) -> Iterator[Any]:
     except yaml.YAMLError as error:
         problem = printable(" ".join(str(error).split()), 160)
         raise CaseError(f"{name}: is not valid YAML: {problem}") from None
+    return (None if node is None else _plain(node, (), lines, name)), lines
 
 
-def _compose(text: str, name: str) -> _Node:
-    """Build the tree from the parser's events, bounded in depth and expanded size."""
-    import yaml
+def _check_events(text: str, name: str) -> None:
+    """Refuse what must not be expanded, before a tree is made."""
+    holders: list[str | None] = []  # anchors of the containers that are open
+    size = documents = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        anchor, tag, wrong = getattr(event, "anchor", None), getattr(event, "tag", None), ""
+        size += isinstance(event, yaml.NodeEvent)
+        documents += isinstance(event, yaml.DocumentStartEvent)
+        if isinstance(event, yaml.CollectionStartEvent):
+            holders.append(anchor)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            holders.pop()
+        elif isinstance(event, yaml.AliasEvent) and anchor in holders:
+            label = printable(str(anchor), 60)
+            wrong = f"*{label} stands within &{label} itself; write the value out"
+        if documents > 1:
+            wrong = "a second document starts (---); keep one case in a file"
+        elif tag not in (None, "!"):
+            wrong = f"tag {printable(str(tag), 60)} is not allowed; leave it out"
+        _refuse(event, name, wrong, size, len(holders))
 
-    name = printable(name, 400)
-    root: _Node | None = None
-    stack: list[tuple[_Node, str | None]] = []  # open containers, each with its anchor
-    keys: list[tuple[str, int] | None] = []  # the key that waits for its value, per container
-    anchors: dict[str, _Node | None] = {}
 
-    def fail(line: int, what: str) -> CaseError:
-        return CaseError(f"{name}:{line}: {what}")
+def _refuse(place: Any, name: str, wrong: str, size: int, depth: int) -> None:
+    """Raise CaseError for what is wrong or too large at an event or node."""
+    if depth > MAX_DEPTH:
+        wrong = f"nested more than {MAX_DEPTH} deep; no case needs that"
+    elif size > MAX_NODES:
+        wrong = f"holds more than {MAX_NODES} values; use a file for large data"
+    if wrong:
+        raise CaseError(f"{name}:{_line(place)}: {wrong}")
 
-    def attach(node: _Node, is_key_text: str | None = None) -> None:
-        nonlocal root
-        if not stack:
-            root = node
-            return
-        holder = stack[-1][0]
-        if isinstance(holder.value, list):
-            holder.value.append(node)
-        elif keys[-1] is None:
-            if is_key_text is None:
-                raise fail(node.line, "a key must be a single word, not a list or a mapping")
-            label = printable(is_key_text, 60)
-            if is_key_text in holder.value:
-                first = holder.key_lines[is_key_text]
-                raise fail(node.line, f"{label}: given twice; it is already on line {first}")
-            keys[-1] = (is_key_text, node.line)
-            holder.value[is_key_text] = _Node(None, node.line)
-            holder.key_lines[is_key_text] = node.line
-            return
-        else:
-            holder.value[keys[-1][0]] = node
-            keys[-1] = None
-        holder.size += node.size
-        if holder.size > MAX_NODES:
-            raise fail(node.line, f"holds more than {MAX_NODES} values; use a file for large data")
 
-    documents = 0
-    for event in _events(text, name):
-        mark = event.start_mark
-        line = mark.line + 1 if mark else 1
-        if isinstance(event, yaml.DocumentStartEvent):
-            documents += 1
-            if documents > 1:
-                raise fail(line, "a second document starts (---); keep one case in a file")
-        elif isinstance(event, yaml.AliasEvent):
-            target = anchors.get(event.anchor)
-            label = printable(event.anchor, 60)
-            if event.anchor not in anchors:
-                raise fail(line, f"*{label} names no anchor; define &{label} before it")
-            if target is None:
-                raise fail(line, f"*{label} stands within &{label} itself; write the value out")
-            attach(target)
-        elif isinstance(event, yaml.ScalarEvent):
-            if event.tag not in (None, "!"):
-                raise fail(line, f"tag {printable(event.tag, 60)} is not allowed; leave it out")
-            plain = event.implicit[0] and not event.style
-            value = _scalar(event.value) if plain else event.value
-            node = _Node(value, line)
-            attach(node, event.value)
-            if event.anchor:
-                anchors[event.anchor] = node
-        elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
-            if event.tag not in (None, "!"):
-                raise fail(line, f"tag {printable(event.tag, 60)} is not allowed; leave it out")
-            if len(stack) >= MAX_DEPTH:
-                raise fail(line, f"nested more than {MAX_DEPTH} deep; no case needs that")
-            is_mapping = isinstance(event, yaml.MappingStartEvent)
-            if stack and isinstance(stack[-1][0].value, dict) and keys[-1] is None:
-                raise fail(line, "a key must be a single word, not a list or a mapping")
-            stack.append((_Node({} if is_mapping else [], line), event.anchor))
-            keys.append(None)
-            if event.anchor:
-                anchors[event.anchor] = None
-        elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
-            node, anchor = stack.pop()
-            keys.pop()
-            attach(node)
-            if anchor:
-                anchors[anchor] = node
-    return root or _Node(None, 1)
+def _plain(node: Any, key: Key, lines: dict[Key, int], name: str) -> Any:
+    """Plain data under `node`, aliases expanded; enters the line of each key in `lines`."""
+    lines.setdefault(key, _line(node))  # that of its name, in a mapping
+    _refuse(node, name, "", len(lines), len(key))
+    if isinstance(node, yaml.ScalarNode):
+        return node.value if node.style else _scalar(node.value)
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(inner, (*key, i), lines, name) for i, inner in enumerate(node.value)]
+    data: dict[str, Any] = {}
+    for word, inner in node.value:
+        path, wrong = (*key, word.value), ""
+        if not isinstance(word, yaml.ScalarNode):
+            wrong = "a key must be a single word, not a list or a mapping"
+        elif word.value in data:
+            wrong = f"{printable(word.value, 60)}: given twice; it is already on line {lines[path]}"
+        _refuse(word, name, wrong, 0, 0)
+        lines[path] = _line(word)
+        data[word.value] = _plain(inner, path, lines, name)
+    return data
+
+
+def _line(place: Any) -> int:
+    return int(place.start_mark.line) + 1 if place.start_mark else 1
 
 
 def _scalar(text: str) -> Any:
@@ -312,7 +271,9 @@ def _scalar(text: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """`value` with arrays and NumPy numbers as what JSON knows; infinities as text."""
+    """`value` with sections, arrays and NumPy numbers as what JSON knows; infinities as text."""
+    if isinstance(value, Section):
+        value = {name: getattr(value, name) for name in value.declared} | dict(value.extra)
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

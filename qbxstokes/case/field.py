@@ -1,50 +1,46 @@
 """Section `field`: where the flow around the body is wanted, which quantities, how accurately."""
 
-from __future__ import annotations
+from typing import Annotated, Any, Literal
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from qbxstokes.case.base import Boolean, Integer, Number, Text, Vector, entries
-from qbxstokes.case.model import Convert, Field, Problem, Section
+from qbxstokes.case.model import (
+    NAME,
+    VECTOR,
+    Instants,
+    Positive,
+    Section,
+    Tolerance,
+    Vector,
+    choice,
+    key,
+    number,
+    several,
+    some,
+    whole,
+)
+from qbxstokes.case.values import Problem, increasing
 from qbxstokes.quantities import FLUID
 
-if TYPE_CHECKING:
-    Fluid = str
-else:
-    Fluid = Literal[tuple(FLUID)]
+ORIGIN = (0.0, 0.0, 0.0)
 Frame = Literal["centre", "space", "body"]
-FRAME = "axes of space about the body's centre, space itself, or the body's own axes"
-
-_Count = Annotated[Integer, Field(ge=1, le=100_000)]
-Rectangle = Annotated[
-    tuple[Number, Number, Number, Number],
-    Convert(entries(4, "[-3, 3, -3, 3]"), json=list[float | str]),
-]
-Pair = Annotated[
-    tuple[_Count, _Count],
-    Convert(entries(2, "[201, 201]"), json=list[int]),
-]
-Triple = Annotated[
-    tuple[_Count, _Count, _Count],
-    Convert(entries(3, "[41, 41, 41]"), json=list[int]),
-]
+AXES = "axes of space about the body's centre, space itself, or the body's own axes"
+_COUNT = whole(ge=1, le=100_000)
+Pair = Annotated[tuple[int, int], several(_COUNT, "[201, 201]")]
+Triple = Annotated[tuple[int, int, int], several(_COUNT, "[41, 41, 41]")]
+Rectangle = Annotated[tuple[float, float, float, float], several(number(), "[-3, 3, -3, 3]")]
+Samples = Annotated[int, whole(ge=2, le=1_000_000)]
 
 
 class Plane(Section):
     """A rectangle of points in a plane."""
 
-    origin: Vector = Field(default=(0.0, 0.0, 0.0), description="point of the plane at (0, 0)")
-    first: Vector = Field(default=(1.0, 0.0, 0.0), description="direction of the first coordinate")
-    second: Vector = Field(
-        default=(0.0, 1.0, 0.0),
-        description="direction of the second, made orthogonal to the first",
+    origin: Vector = key("point of the plane at (0, 0)", ORIGIN)
+    first: Vector = key("direction of the first coordinate", (1.0, 0.0, 0.0))
+    second: Vector = key("direction of the second, made orthogonal to the first", (0.0, 1.0, 0.0))
+    extent: Rectangle = key(
+        "least and largest first, least and largest second coordinate", (-3.0, 3.0, -3.0, 3.0)
     )
-    extent: Rectangle = Field(
-        default=(-3.0, 3.0, -3.0, 3.0),
-        description="least and largest first, least and largest second coordinate",
-    )
-    shape: Pair = Field(default=(201, 201), description="numbers of points in both directions")
-    frame: Frame = Field(default="centre", description=FRAME)
+    shape: Pair = key("numbers of points in both directions", (201, 201))
+    frame: Frame = key(AXES, "centre")
 
     def _check(self) -> None:
         a, b = self.first, self.second
@@ -59,10 +55,10 @@ class Plane(Section):
 class Box(Section):
     """A regular grid of points in a box along the axes of its frame."""
 
-    lower: Vector = Field(default=(-3.0, -3.0, -3.0), description="corner of least coordinates")
-    upper: Vector = Field(default=(3.0, 3.0, 3.0), description="corner of largest coordinates")
-    shape: Triple = Field(default=(41, 41, 41), description="numbers of points along the axes")
-    frame: Frame = Field(default="centre", description=FRAME)
+    lower: Vector = key("corner of least coordinates", (-3.0, -3.0, -3.0))
+    upper: Vector = key("corner of largest coordinates", (3.0, 3.0, 3.0))
+    shape: Triple = key("numbers of points along the axes", (41, 41, 41))
+    frame: Frame = key(AXES, "centre")
 
     def _check(self) -> None:
         if any(a >= b for a, b in zip(self.lower, self.upper, strict=True)):
@@ -72,153 +68,106 @@ class Box(Section):
 class Shells(Section):
     """Surfaces at given distances from the body, along its normals."""
 
-    distances: Annotated[tuple[Annotated[Number, Field(ge=0)], ...], Field(min_length=1)] = Field(
-        default=(0.0, 0.01, 0.1, 1.0), description="distances from the surface, in lengths c"
+    distances: Annotated[tuple[float, ...], some(number(ge=0))] = key(
+        "distances from the surface, in lengths c", (0.0, 0.01, 0.1, 1.0)
     )
-    shape: Pair = Field(default=(33, 64), description="numbers of points in theta and phi")
+    shape: Pair = key("numbers of points in theta and phi", (33, 64))
 
     def _check(self) -> None:
-        for index in range(1, len(self.distances)):
-            if self.distances[index] <= self.distances[index - 1]:
-                raise Problem("does not increase", "increasing distances", ("distances", index))
+        increasing(self.distances, "distances")
 
 
 class Points(Section):
     """Points from a file."""
 
-    file: Annotated[Text, Field(min_length=1)] = Field(
-        description="CSV (three numbers a line, header allowed) or NPY (N, 3), beside the case",
-        examples=["points.csv"],
+    file: Annotated[str, NAME] = key(
+        "beside the case: CSV (three numbers a line, header or not) or NPY (N, 3)",
+        example="points.csv",
     )
-    frame: Frame = Field(default="centre", description=FRAME)
+    frame: Frame = key(AXES, "centre")
 
 
 class Surface(Section):
     """The body's surface with the traction on it."""
 
-    shape: Pair = Field(default=(49, 96), description="numbers of points in theta and phi")
+    shape: Pair = key("numbers of points in theta and phi", (49, 96))
 
 
 class Lines(Section):
     """Where lines start: on a segment, or at listed points."""
 
-    start: Vector = Field(
-        default=(-3.0, -1.0, 0.0), description="first end of the segment of starting points"
+    start: Vector = key("first end of the segment of starting points", (-3.0, -1.0, 0.0))
+    stop: Vector = key("second end of the segment of starting points", (-3.0, 1.0, 0.0))
+    number: Annotated[int, whole(ge=1, le=10_000)] = key(
+        "number of starting points on the segment", 21
     )
-    stop: Vector = Field(
-        default=(-3.0, 1.0, 0.0), description="second end of the segment of starting points"
+    points: Annotated[tuple[tuple[float, ...], ...], some(VECTOR)] | None = key(
+        "starting points one by one; replaces the segment", None, [[-3.0, 0.5, 0.0]]
     )
-    number: Annotated[Integer, Field(ge=1, le=10_000)] = Field(
-        default=21, description="number of starting points on the segment"
-    )
-    points: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = Field(
-        default=None,
-        description="starting points one by one; replaces the segment",
-        examples=[[[-3.0, 0.5, 0.0], [-3.0, 0.0, 0.5]]],
-    )
-    frame: Frame = Field(default="centre", description=FRAME)
-    tolerance: Annotated[Number, Field(gt=0, le=0.1)] = Field(
-        default=1e-8, description="error control of the lines, relative and absolute"
-    )
+    frame: Frame = key(AXES, "centre")
+    tolerance: Tolerance = key("error control of the lines, relative and absolute", 1e-8)
 
 
 class Streamlines(Lines):
     """Lines along the velocity relative to the body, at one instant."""
 
-    length: Annotated[Number, Field(gt=0)] = Field(
-        default=8.0, description="length of each line, in lengths c"
-    )
-    both_ways: Boolean = Field(
-        default=False, description="follow the lines upstream from their starting points as well"
-    )
-    samples: Annotated[Integer, Field(ge=2, le=1_000_000)] = Field(
-        default=201, description="points stored on each line"
-    )
+    length: Positive = key("length of each line, in lengths c", 8.0)
+    both_ways: bool = key("follow the lines upstream from their starting points as well", False)
+    samples: Samples = key("points stored on each line", 201)
 
 
 class Tracers(Lines):
     """Particles carried by the flow while the body moves, from time 0."""
 
-    duration: Annotated[Number, Field(gt=0)] | None = Field(
-        default=None,
-        description="end of the paths; unset: that of the motion",
-        examples=[10.0],
-    )
-    samples: Annotated[Integer, Field(ge=2, le=1_000_000)] = Field(
-        default=201, description="instants stored"
-    )
+    duration: Positive | None = key("end of the paths; unset: that of the motion", None, 10.0)
+    samples: Samples = key("instants stored", 201)
 
 
 class FieldSection(Section):
     """The flow around the body."""
 
-    plane: Plane | None = Field(default=None, description="points in a plane")
-    box: Box | None = Field(default=None, description="points in a box")
-    shells: Shells | None = Field(default=None, description="points at distances from the body")
-    points: Points | None = Field(default=None, description="points listed in a file")
-    surface: Surface | None = Field(default=Surface(), description="traction on the body")
-    streamlines: Streamlines | None = Field(default=None, description="streamlines")
-    tracers: Tracers | None = Field(default=None, description="paths of tracers")
-    quantities: Annotated[tuple[Fluid, ...], Field(min_length=1)] = Field(
-        default=tuple(FLUID),
-        description="quantities to store at the points",
+    plane: Plane | None = key("points in a plane", None)
+    box: Box | None = key("points in a box", None)
+    shells: Shells | None = key("points at distances from the body", None)
+    points: Points | None = key("points listed in a file", None)
+    surface: Surface | None = key("traction on the body", Surface())
+    streamlines: Streamlines | None = key("streamlines", None)
+    tracers: Tracers | None = key("paths of tracers", None)
+    quantities: Annotated[tuple[str, ...], some(choice(*FLUID))] = key(
+        "quantities to store at the points", tuple(FLUID)
     )
-    tolerance: Annotated[Number, Field(gt=0, le=0.1)] = Field(
-        default=1e-8, description="error of the velocity, relative to the largest disturbance"
+    tolerance: Tolerance = key("error of the velocity, relative to the largest disturbance", 1e-8)
+    method: Literal["auto", "table", "quadrature"] = key(
+        "by table where its error allows, by the table alone, or by QBX and quadrature", "auto"
     )
-    method: Literal["auto", "table", "quadrature"] = Field(
-        default="auto",
-        description="by table where its error allows, by the table alone, or by QBX and quadrature",
+    body: Literal["free", "held", "moving"] = key(
+        "task: field: free (with force and torque), held fixed, or in given motion", "free"
     )
-    body: Literal["free", "held", "moving"] = Field(
-        default="free",
-        description="task: field: free (with force and torque), held fixed, or in given motion",
+    force: Vector = key("outer force on a free body, in space", ORIGIN)
+    torque: Vector = key("outer torque on a free body, in space", ORIGIN)
+    velocity: Vector = key("velocity of a moving body, in space", ORIGIN)
+    angular_velocity: Vector = key("angular velocity of a moving body, in space", ORIGIN)
+    every: Annotated[int, whole(ge=1)] | None = key(
+        "task: motion: at every so many stored instants; unset: the last one alone", None, 10
     )
-    force: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="outer force on a free body, in space"
+    at: Instants | None = key(
+        "task: motion: at these instants, which must be among the stored ones", None, [0.0, 1.0]
     )
-    torque: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="outer torque on a free body, in space"
+    check: Annotated[int, whole(ge=0, le=1_000_000)] = key(
+        "points where QBX and quadrature check the table (some ten a second); more than 6 are "
+        "spread over the plane and stored",
+        6,
     )
-    velocity: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="velocity of a moving body, in space"
-    )
-    angular_velocity: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="angular velocity of a moving body, in space"
-    )
-    every: Annotated[Integer, Field(ge=1)] | None = Field(
-        default=None,
-        description="task: motion: at every so many stored instants; unset: the last one alone",
-        examples=[10],
-    )
-    at: Annotated[tuple[Number, ...], Field(min_length=1)] | None = Field(
-        default=None,
-        description="task: motion: at these instants, which must be among the stored ones",
-        examples=[[0.0, 1.0]],
-    )
-    check: Annotated[Integer, Field(ge=0, le=1_000_000)] = Field(
-        default=6,
-        description="points at which QBX and quadrature check the table (some ten a second); more "
-        "than 6 are spread over the plane and stored",
-    )
-    vtk: Boolean = Field(
-        default=True, description="write a .vtkhdf file for ParaView beside the result"
-    )
-    pictures: Boolean = Field(default=False, description="draw PDF pictures beside the result")
+    vtk: bool = key("write a .vtkhdf file for ParaView beside the result", True)
+    pictures: bool = key("draw PDF pictures beside the result", False)
 
     def _check(self) -> None:
-        given = self.model_fields_set
-        for names, body in (
-            (("force", "torque"), "free"),
-            (("velocity", "angular_velocity"), "moving"),
-        ):
-            for name in names:
-                if name in given and self.body != body:
-                    raise Problem(
-                        f"has no meaning for body: {self.body}",
-                        f"leave it out or set body: {body}",
-                        (name,),
-                    )
+        meant = {"force": "free", "torque": "free"}
+        meant |= {"velocity": "moving", "angular_velocity": "moving"}
+        for name, body in meant.items():
+            if name in self.given_keys and self.body != body:
+                wrong = f"has no meaning for body: {self.body}"
+                raise Problem(wrong, f"leave it out or set body: {body}", (name,))
         if self.at is not None and self.every is not None:
             raise Problem("conflicts with at", "give one of them", ("every",))
         wanted: list[Any] = [self.plane, self.box, self.shells, self.points]

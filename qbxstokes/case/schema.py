@@ -1,68 +1,54 @@
 """The schema of a case: which sections there are, and what must agree between them.
 
-Each section lives in its own module and owns its keys with their defaults and descriptions. A new
-section is one new module and one field of `Case`; a new task is one word in `Task`.
+A new section is one class and one key of `Case`; a new task is one word in `Task`.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from qbxstokes.case.base import Text, describe
-from qbxstokes.case.body import Body
-from qbxstokes.case.checkpoint import Checkpoints
-from qbxstokes.case.compare import Compare
-from qbxstokes.case.constraints import FREE, Constraints
-from qbxstokes.case.events import Events
 from qbxstokes.case.field import FieldSection
-from qbxstokes.case.flow import FlowSection
-from qbxstokes.case.forces import Forces
-from qbxstokes.case.hydrodynamics import Hydrodynamics
-from qbxstokes.case.model import Convert, Field, FieldInfo, Key, Problem, Section, section_of
-from qbxstokes.case.output import Output
-from qbxstokes.case.start import Start
+from qbxstokes.case.model import Key, Reader, Section, key
+from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, Output, Time
+from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
 from qbxstokes.case.sweep import Sweep
-from qbxstokes.case.time import Time
+from qbxstokes.case.values import Problem, describe
 
-Task = Literal["motion", "field", "body"]
-
-# Sections, and keys of sections, that have no meaning for a task, and what would be right instead.
-# They are refused where they are given, and starter cases leave them out.
-_ONE_INSTANT = "leave it out, or use task: motion"
-_STILL = "leave it out: nothing moves"
-_MOVING = ("forces", "constraints", "time", "events", "checkpoint")
-_SAMPLING = ("store", "block", "discard")
-FOREIGN: dict[str, dict[tuple[str, ...], str]] = {
+# Keys that have no meaning for a task: "what would be right": their names. They are refused where
+# they are given, and starter cases leave them out.
+_FOREIGN = {
     "motion": {
-        ("field", name): "leave it out"
-        for name in ("body", "force", "torque", "velocity", "angular_velocity")
+        "leave it out": "field.body field.force field.torque field.velocity field.angular_velocity"
     },
     "field": {
-        **{(name,): _ONE_INSTANT for name in ("constraints", "time", "events")},
-        ("sweep",): _ONE_INSTANT,
-        **{("field", name): "leave it out" for name in ("every", "at")},
-        ("forces",): "give field.force and field.torque",
-        ("start", "velocity"): "give field.velocity, with field.body: moving",
-        ("start", "angular_velocity"): "give field.angular_velocity, with field.body: moving",
-        ("body", "stokes_number"): "leave it out: the flow at one instant knows no inertia",
-        ("body", "inertia"): "leave it out: the flow at one instant knows no inertia",
+        "leave it out, or use task: motion": "constraints time events sweep",
+        "leave it out": "field.every field.at",
+        "give field.force and field.torque": "forces",
+        "give field.velocity, with field.body: moving": "start.velocity",
+        "give field.angular_velocity, with field.body: moving": "start.angular_velocity",
+        "leave it out: the flow at one instant knows no inertia": "body.stokes_number body.inertia",
+        "leave it out: it chooses among the samples of a motion": "output.fields",
     },
     "body": {
-        **{(name,): "leave it out, or use task: motion" for name in _MOVING},
-        ("field",): "leave it out, or use task: field",
-        **{("start", name): _STILL for name in ("velocity", "angular_velocity")},
-        **{("body", name): _STILL for name in ("stokes_number", "inertia")},
-        ("hydrodynamics", "cache"): "leave it out: the body is always formed anew",
-        **{("sweep", name): "leave it out: a body has no samples" for name in _SAMPLING},
+        "leave it out, or use task: motion": "forces constraints time events checkpoint",
+        "leave it out, or use task: field": "field",
+        "leave it out: nothing moves": "start.velocity start.angular_velocity body.stokes_number "
+        "body.inertia",
+        "leave it out: the body is always formed anew": "hydrodynamics.cache",
+        "leave it out: a body has no samples": "sweep.store sweep.block sweep.discard",
+        "leave it out: it chooses among the samples of a motion": "output.fields",
     },
 }
-_SAMPLES = "leave it out: it chooses among the samples of a motion"
-for _task, _keys in FOREIGN.items():
-    _keys |= {} if _task == "motion" else {("output", "fields"): _SAMPLES}
-
-PetscValue = str | int | float | bool | None
+FOREIGN = {
+    task: {tuple(name.split(".")): right for right, names in keys.items() for name in names.split()}
+    for task, keys in _FOREIGN.items()
+}
+# Tasks and sections that have left the program.
+_MOVED = {
+    "benchmark": ("has moved", "run the scripts in cases/benchmarks"),
+    "stress": ("has moved", "run the tests in tests/stress"),
+    "study": ("has moved", "run the scripts in cases/studies"),
+}
 
 
 def _petsc_options(value: Any) -> Any:
@@ -80,64 +66,66 @@ def _petsc_options(value: Any) -> Any:
     return {name.lstrip("-"): option for name, option in value.items()}
 
 
-class Case(Section):
+_VALUES = {"type": ["string", "number", "boolean", "null"]}
+PETSC_OPTIONS = Reader(_petsc_options, {"type": "object", "additionalProperties": _VALUES})
+
+
+class Case(
+    Section,
+    bodies=("several bodies are not there yet", "write body, for one"),
+    surroundings=("walls are not there yet", "leave it out: the fluid is unbounded"),
+    rheology=("other fluids are not there yet", "leave it out: the fluid is Newtonian"),
+    statistics=("ensembles are not there yet", "average over the table of a sweep"),
+    **_MOVED,
+):
     """One case: what to compute, for which body in which flow, and how."""
 
-    task: Task = Field(default="motion", description="what to compute")
-    title: Text = Field(default="", description="a line that names the case in summaries")
-    body: Body = Field(description="the spheroid")
-    flow: FlowSection | None = Field(
-        description="the background flow (task: body: may be left out)"
+    task: Literal["motion", "field", "body"] = key("what to compute", "motion")
+    title: str = key("a line that names the case in summaries", "")
+    body: Body = key("the spheroid")
+    flow: FlowSection | None = key("the background flow (task: body: may be left out)")
+    start: Start = key("state at time 0", Start())
+    forces: Forces = key("external force and torque, gravity", Forces())
+    constraints: Constraints = key("parts of the motion that are held or prescribed", Constraints())
+    time: Time | None = key("duration, stored instants, tolerance", None)
+    hydrodynamics: Hydrodynamics = key(
+        "accuracy and scheme of the integral equation", Hydrodynamics()
     )
-    start: Start = Field(default=Start(), description="state at time 0")
-    forces: Forces = Field(default=Forces(), description="external force and torque, gravity")
-    constraints: Constraints = Field(
-        default=Constraints(),
-        description="parts of the motion that are held or prescribed",
+    field: FieldSection | None = key(
+        "the flow around the body: where, which quantities, how well", None
     )
-    time: Time | None = Field(default=None, description="duration, stored instants, tolerance")
-    hydrodynamics: Hydrodynamics = Field(
-        default=Hydrodynamics(),
-        description="accuracy and scheme of the integral equation",
+    events: Events = key("what is watched for between samples", Events())
+    checkpoint: Checkpoints = key("how often the run is made safe on disk", Checkpoints())
+    petsc: Annotated[dict[str, Any], PETSC_OPTIONS] = key(
+        "PETSc options without the dash; the command line overrides them", {}, {"ts_monitor": None}
     )
-    field: FieldSection | None = Field(
-        default=None, description="the flow around the body: where, which quantities, how well"
-    )
-    events: Events = Field(default=Events(), description="what is watched for between samples")
-    checkpoint: Checkpoints = Field(
-        default=Checkpoints(), description="how often the run is made safe on disk"
-    )
-    petsc: Annotated[
-        dict[str, PetscValue],
-        Convert(_petsc_options, json=dict[str, PetscValue]),
-    ] = Field(
-        default={},
-        description="PETSc options without the leading dash; the command line overrides them",
-        examples=[{"ts_monitor": None}],
-    )
-    sweep: Sweep | None = Field(
-        default=None, description="vary keys of the case: many trajectories, one result"
-    )
-    output: Output = Field(default=Output(), description="the result file")
-    compare: Compare = Field(default=Compare(), description="what to hold the result against")
+    sweep: Sweep | None = key("vary keys of the case: many trajectories, one result", None)
+    output: Output = key("the result file", Output())
+    compare: Compare = key("what to hold the result against", Compare())
 
     @classmethod
     def _prepare(cls, data: Any) -> Any:
-        """Refuse what has no meaning for the task."""
+        """Complete what the task leaves out, refuse what has no meaning for it.
+
+        A section whose keys are all commented out is one of defaults, or left out where it may be.
+        """
         if not isinstance(data, dict):
             return data
+        opened = {name for name, k in cls.declared.items() if k.reader.section and k.default}
+        data = {n: {} if value is None and n in opened else value for n, value in data.items()}
         task = data.get("task", "motion")
+        if isinstance(task, str) and task in _MOVED:
+            wrong, right = _MOVED[task]
+            raise Problem(f"{task} {wrong}", right, ("task",))
         if not isinstance(task, str) or task not in FOREIGN:
             return data
-        for key, right in FOREIGN[task].items():
+        for path, right in FOREIGN[task].items():
             holder: Any = data
-            for part in key[:-1]:
+            for part in path[:-1]:
                 holder = holder.get(part) if isinstance(holder, dict) else None
-            if isinstance(holder, dict) and holder.get(key[-1]) is not None:
-                raise Problem(f"has no meaning for task: {task}", right, key)
-        if task == "body" and not data.get("flow"):
-            return {**data, "flow": None}
-        return data
+            if isinstance(holder, dict) and holder.get(path[-1]) is not None:
+                raise Problem(f"has no meaning for task: {task}", right, path)
+        return {**data, "flow": data.get("flow") or None} if task == "body" else data
 
     def _check(self) -> None:
         if self.task == "motion" and self.time is None:
@@ -145,43 +133,35 @@ class Case(Section):
         if self.task == "field":
             if self.field is None:
                 raise Problem("is missing", "task: field needs it, such as `plane: {}`", ("field",))
-            tracers = self.field.tracers
-            if tracers is not None and tracers.duration is None:
-                key = ("field", "tracers", "duration")
-                raise Problem("is missing", "task: field needs the end of the paths", key)
+            if self.field.tracers is not None and self.field.tracers.duration is None:
+                right, path = "task: field needs the end of the paths", ("tracers", "duration")
+                raise Problem("is missing", right, ("field", *path))
         if self.flow is None:
-            self._check_alone()
+            wrong, right = "has no meaning without a flow", "leave it out, or give one"
+            if "start" in self.given_keys:
+                raise Problem(wrong, right, ("start",))
+            if self.hydrodynamics.solve == "every_step":
+                raise Problem(wrong, right, ("hydrodynamics", "solve"))
         self._check_forces()
-        if self.body.stokes_number == 0:
-            for name in ("velocity", "angular_velocity"):
-                if getattr(self.start, name) != "with_flow":
-                    raise Problem(
-                        "has no meaning for a massless body (stokes_number: 0)",
-                        "leave it out, or give the body a stokes_number > 0",
-                        ("start", name),
-                    )
         self._check_uniform_radius()
-
-    def _check_alone(self) -> None:
-        """Refuse what only a flow gives a meaning to."""
-        if "start" in self.model_fields_set:
-            raise Problem("has no meaning without a flow", "leave it out, or give one", ("start",))
-        if self.hydrodynamics.solve == "every_step":
-            key = ("hydrodynamics", "solve")
-            raise Problem("has no meaning without a flow", "leave it out, or give one", key)
 
     def _check_forces(self) -> None:
         """Refuse weights without mass, and starts that a constraint leaves no room for."""
-        gravity = self.forces.gravity
-        if gravity is not None and gravity.number is None and self.body.stokes_number == 0:
+        gravity, massless = self.forces.gravity, self.body.stokes_number == 0
+        if gravity is not None and gravity.number is None and massless:
             raise Problem(
                 "needs a stokes_number > 0",
                 "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight",
                 ("forces", "gravity", "acceleration"),
             )
         for bound, moving in (("translation", "velocity"), ("rotation", "angular_velocity")):
-            given = getattr(self.start, moving) != "with_flow"
-            if given and getattr(self.constraints, bound) != FREE:
+            if getattr(self.start, moving) == WITH_FLOW:
+                continue
+            if massless:
+                wrong = "has no meaning for a massless body (stokes_number: 0)"
+                right = "leave it out, or give the body a stokes_number > 0"
+                raise Problem(wrong, right, ("start", moving))
+            if getattr(self.constraints, bound) != FREE:
                 wrong = f"has no meaning with constraints.{bound}"
                 raise Problem(wrong, "leave it out", ("start", moving))
 
@@ -191,36 +171,24 @@ class Case(Section):
         r = 2 pi (r/h) / n_theta must not exceed the least of k q, q / k and q^3 / k over the
         surface: min(k^2, 1) min(1, 1/k) = k^2 for k <= 1 and 1/k for k > 1.
         """
-        scheme = self.hydrodynamics
-        if scheme.scheme != "uniform" or scheme.r_over_h is None or scheme.n_theta is None:
+        k, n = self.body.aspect_ratio, self.hydrodynamics.n_theta
+        ratio = self.hydrodynamics.r_over_h
+        if n is None or ratio is None:
             return
-        k = self.body.aspect_ratio
-        limit = k * k if k <= 1 else 1 / k
-        radius = 2 * math.pi * scheme.r_over_h / scheme.n_theta
+        limit, formula = (k * k, "k^2") if k <= 1 else (1 / k, "1/k")
+        radius = 2 * math.pi * ratio / n
         if radius > limit:
-            formula = "k^2" if k <= 1 else "1/k"
             raise Problem(
                 f"r = 2 pi r_over_h / n_theta = {radius:.4g} leaves the admissible ball, "
                 f"r <= {formula} = {limit:.4g}",
-                f"r_over_h <= {limit * scheme.n_theta / (2 * math.pi):.4g} for this n_theta",
+                f"r_over_h <= {limit * n / (2 * math.pi):.4g} for this n_theta",
                 ("hydrodynamics", "r_over_h"),
             )
 
 
-def keys(model: type[Section] = Case, prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every key of the case with its field, sections before their keys."""
-    for name, field in model.model_fields.items():
-        yield prefix + name, field
-        inner = section_of(field.annotation)
-        if inner:
-            yield from keys(inner, f"{prefix}{name}.")
-
-
-def section_at(key: Key) -> type[Section] | None:
-    """The section class that `key` leads to, or None where it leads to a plain value."""
-    model: type[Section] | None = Case
-    for part in key:
-        if model is None or part not in model.model_fields:
-            return None
-        model = section_of(model.model_fields[str(part)].annotation)
-    return model
+def keys(model: type[Section] = Case, prefix: str = "") -> Iterator[tuple[str, Key]]:
+    """Every key of the case by its dotted name, sections before their keys."""
+    for name, declared in model.declared.items():
+        yield prefix + name, declared
+        if declared.reader.section:
+            yield from keys(declared.reader.section, f"{prefix}{name}.")

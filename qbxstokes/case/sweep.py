@@ -14,321 +14,333 @@ fastest. Values are made in pieces as they are needed: the points of a random ax
 independent generators, one per 4096, so that any piece of a long sweep is made on its own.
 """
 
-from __future__ import annotations
-
-import csv
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.case.base import Integer, Number, describe, to_angle, to_integer
-from qbxstokes.case.model import Convert, Field, Problem, Section
-from qbxstokes.case.space import (
-    ORIENTATION,
-    Column,
-    Key,
-    SweepAxis,
-    SweepSpace,
-    column_name,
-    parse_key,
-)
+from qbxstokes.case.document import ORIENTATION, assigned, parse_key
+from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, whole
+from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
 
 Array = NDArray[Any]
 
+CHUNK = 4096
 MAX_POINTS = 10**12
 TABLE = "table"
-_GENERATORS = ("linspace", "logspace", "uniform", "random")
+_RULES = ("linspace", "logspace", "uniform", "random")
 # What a sweep cannot vary: the result is one file with one set of instants.
 _FIXED = ("task", "title", "sweep", "output", "compare", "time.samples", "time.at")
-# Nor this, where trajectories are integrated together.
-_SHARED = ("petsc",)
 
 
-def _axes(value: Any) -> Any:
-    if not isinstance(value, (list, tuple)):
-        raise Problem(f"is {describe(value)}", "a list of axes: `- body.aspect_ratio: [1, 2]`")
-    for index, axis in enumerate(value):
-        if not isinstance(axis, dict) or not axis:
-            raise Problem(
-                f"is {describe(axis)}", "an axis such as body.aspect_ratio: [1, 2]", (index,)
-            )
-    return value
-
-
-def _measure(value: Any) -> Any:
-    """true is a section of defaults, false none."""
-    return ({} if value else None) if isinstance(value, bool) else value
+_MAPPING = Reader(lambda value: value if isinstance(value, dict) else {}, {"type": "object"})
+AXIS = refined(_MAPPING, bool, "write body.aspect_ratio: [1, 2]", "is no axis")
+AXES = refined(some(AXIS), lambda axes: len(axes) <= 16, "16 axes at most", maxItems=16)
+Ends = Annotated[tuple[float, float], several(number(to_angle), "[first, last]")]
+Count = Annotated[int, whole(ge=1)]
 
 
 class Measure(Section):
     """What is measured of each trajectory, alone: times are the medians of the repeats."""
 
-    repeats: Annotated[Integer, Field(ge=1, le=1000)] = Field(
-        default=5, description="times that each is computed, after once to warm up"
+    repeats: Annotated[int, whole(ge=1, le=1000)] = key(
+        "times that each is computed, after once to warm up", 5
     )
+
+
+def _measure(value: Any) -> Measure | None:
+    """true is a section of defaults, false none."""
+    return Measure.read({} if value is True else value) if value not in (None, False) else None
+
+
+MEASURE = Reader(_measure, {"anyOf": [{"type": ["boolean", "null"]}, Measure.json]}, Measure)
 
 
 class Sweep(Section):
     """A family of trajectories: axes that multiply, each one or several keys side by side."""
 
-    axes: Annotated[
-        tuple[dict[str, Any], ...], Convert(_axes), Field(min_length=1, max_length=16)
-    ] = Field(
-        description="list of axes: key: [values], {linspace | logspace | uniform: [a, b], count}, "
+    axes: Annotated[tuple[dict[str, Any], ...], AXES] = key(
+        "list of axes: key: [values], {linspace | logspace | uniform: [a, b], count}, "
         "{random: axes | rotations, count, seed}, or table: FILE.csv",
-        examples=[[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}]],
+        example=[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}],
     )
-    store: Literal["samples", "summary"] = Field(
-        default="samples", description="keep all samples, or only the table of summaries"
+    store: Literal["samples", "summary"] = key(
+        "keep all samples, or only the table of summaries", "samples"
     )
-    block: Annotated[Integer, Field(ge=1, le=65_536)] = Field(
-        default=512, description="trajectories integrated together, at most"
+    block: Annotated[int, whole(ge=1, le=65_536)] = key(
+        "trajectories integrated together, at most", 512
     )
-    discard: Annotated[Number, Field(ge=0, lt=1)] = Field(
-        default=0.0, description="part of the time left out of averages, from the start"
+    discard: Annotated[float, number(ge=0, lt=1)] = key(
+        "part of the time left out of averages, from the start", 0.0
     )
-    measure: Annotated[Measure | None, Convert(_measure, json=bool | Measure)] = Field(
-        default=None,
-        description="compute each trajectory alone, warm and without the cache, and record set-up "
+    measure: Annotated[Measure | None, MEASURE] = key(
+        "compute each trajectory alone, warm and without the cache, and record set-up "
         "and wall time, iterations and error as well; PETSc options may then be swept",
-        examples=[True],
+        None,
+        True,
     )
 
 
-class SweepFault(Exception):
-    """Something wrong at `key` of the document; the loader adds file and line."""
-
-    def __init__(self, key: Key, wrong: str, right: str = "") -> None:
-        super().__init__(wrong)
-        self.key, self.wrong, self.right = key, wrong, right
+# -- the space of a sweep -------------------------------------------------------------------------
 
 
-def build_space(axes: Sequence[Mapping[str, Any]], folder: Path, alone: bool = False) -> SweepSpace:
-    """The axes of the section with their values; raises SweepFault.
+@dataclass(frozen=True)
+class Column:
+    """The values of one key along one axis: numbers (n,), vectors (n, m), or words."""
+
+    key: Key
+    values: Array | None = None
+    kind: str = ""
+    size: int = 0
+    seed: int = 0
+    bounds: tuple[float, float] = (0.0, 1.0)
+    where: Key = ()
+
+    def take(self, points: Array) -> Array:
+        """Values at the given points of the axis."""
+        if self.values is not None:
+            return np.asarray(self.values[points])
+        width = {"axes": (3,), "rotations": (4,)}.get(self.kind, ())
+        taken = np.empty((len(points), *width))
+        chunks = points // CHUNK
+        for chunk in np.unique(chunks):
+            inside = chunks == chunk
+            taken[inside] = self._chunk(int(chunk))[points[inside] - chunk * CHUNK]
+        return taken
+
+    def _chunk(self, number: int) -> Array:
+        """CHUNK random values; each chunk has a generator of its own."""
+        generator = np.random.default_rng([self.seed, number])
+        if self.kind == "uniform":
+            return generator.uniform(*self.bounds, size=CHUNK)
+        # A normal vector has no preferred direction: uniform on the sphere S2 or S3.
+        width = 3 if self.kind == "axes" else 4
+        vectors = generator.standard_normal((CHUNK, width))
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+    def plain(self, point: int) -> Any:
+        """The value at one point as plain data for the case."""
+        value = self.take(np.array([point]))[0]
+        if self.key == ORIENTATION:
+            return {"axis" if len(value) == 3 else "quaternion": value.tolist()}
+        return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+    @property
+    def oriented(self) -> bool:
+        """Whether the values are vectors of three or four numbers."""
+        return self.numeric and self.take(np.zeros(1, dtype=int)).shape[1:] in ((3,), (4,))
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the values are numbers or vectors of numbers."""
+        return self.values is None or self.values.dtype.kind == "f"
+
+    def extremes(self) -> list[int]:
+        """Points at which a faulty value would show: all of a short axis, else the outermost."""
+        if self.size <= 1000:
+            return list(range(self.size))
+        if self.values is None:
+            return [0, self.size - 1]
+        if not self.numeric:
+            return [int(i) for i in np.unique(self.values, return_index=True)[1][:1000]]
+        size = self.values if self.values.ndim == 1 else np.linalg.norm(self.values, axis=1)
+        ends = {0, self.size - 1, int(np.argmin(size)), int(np.argmax(size))}
+        ends |= {int(i) for i in np.flatnonzero(~np.isfinite(size))[:1]}
+        return sorted(ends)
+
+
+@dataclass(frozen=True)
+class SweepSpace:
+    """All axes; trajectory `index` has the coordinates of an array element, last axis fastest."""
+
+    axes: tuple[tuple[Column, ...], ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of points of each axis."""
+        return tuple(columns[0].size for columns in self.axes)
+
+    @property
+    def size(self) -> int:
+        """Number of trajectories."""
+        return math.prod(self.shape)
+
+    @property
+    def columns(self) -> list[tuple[int, Column]]:
+        """Every column with the number of its axis."""
+        return [(axis, column) for axis, columns in enumerate(self.axes) for column in columns]
+
+    def values(self, index: Array) -> dict[Key, Array]:
+        """The swept values of the trajectories `index` (n,)."""
+        points = np.unravel_index(index, self.shape)
+        return {column.key: column.take(points[axis]) for axis, column in self.columns}
+
+    def assign(self, data: Mapping[str, Any], points: Sequence[int]) -> dict[str, Any]:
+        """`data` of a case with the values at one point of every axis put in."""
+        changed = dict(data)
+        changed.pop("sweep", None)
+        for axis, column in self.columns:
+            changed = assigned(changed, column.key, column.plain(points[axis]))
+        return changed
+
+
+def column_name(key: Key) -> str:
+    """Name of a coordinate in results: ('body', 'stokes_number') -> stokes_number."""
+    parts = [str(part + 1) if isinstance(part, int) else part for part in key]
+    if parts[0] == "body" and len(parts) > 1:
+        parts = parts[1:]
+    if tuple(parts[:2]) == ORIENTATION and len(parts) > 2:
+        parts = [parts[0], *parts[2:]]
+    return "_".join(parts)
+
+
+class Rule(Section):
+    """Values of one key made by a rule."""
+
+    linspace: Ends | None = key("first and last of equally spaced numbers", None)
+    logspace: Ends | None = key("first and last of numbers in equal proportion", None)
+    uniform: Ends | None = key("bounds of random numbers", None)
+    random: Literal["axes", "rotations"] | None = key("random orientations", None)
+    count: Count | None = key("number of values", None)
+    seed: Annotated[int, whole(ge=0)] = key("of random values", 0)
+    endpoint: bool = key("whether the last of the spaced numbers is among them", True)
+
+    @classmethod
+    def _prepare(cls, data: Any) -> Any:
+        kinds = [kind for kind in _RULES if kind in data]
+        if len(kinds) != 1:
+            wrong = f"names {' and '.join(kinds) or 'no rule'}"
+            raise Problem(wrong, f"one of {', '.join(_RULES)}")
+        if data.get("random", "axes") not in ("axes", "rotations"):
+            wrong, right = f"is {describe(data['random'])}", "axes (on the sphere) or rotations"
+            raise Problem(wrong, right, ("random",))
+        return data
+
+    def column(self, name: Key) -> Column:
+        """The values of the key `name`; raises Problem."""
+        if self.count is None:
+            raise Problem("does not say how many values", "add count, such as count: 10")
+        kind = self.random or ("uniform" if self.uniform else "")
+        foreign = "endpoint" if kind else "seed"
+        if foreign in self.given_keys:
+            raise Problem("has no meaning for this rule", "leave it out", (foreign,))
+        if self.random and name != ORIENTATION:
+            wrong = "random axes and rotations are values of start.orientation"
+            raise Problem(wrong, "uniform: [low, high] for numbers", ("random",))
+        if kind:
+            return Column(name, None, kind, self.count, self.seed, self.uniform or (0.0, 1.0))
+        if self.logspace and min(self.logspace) <= 0:
+            wrong = f"starts or ends at {min(self.logspace):g}"
+            raise Problem(wrong, "numbers > 0", ("logspace",))
+        spaced: Any = np.linspace if self.linspace else np.geomspace
+        ends: Any = self.linspace or self.logspace
+        return Column(name, spaced(*ends, self.count, endpoint=self.endpoint), size=self.count)
+
+
+def build_space(axes: Sequence[Mapping[str, Any]], folder: Path, alone: bool) -> SweepSpace:
+    """The axes of the section with their values; raises Problem, with keys of the section.
 
     alone: each trajectory is computed by itself and may have options of its own.
     """
-    built: list[SweepAxis] = []
-    seen: dict[Key, Key] = {}
-    for number, axis in enumerate(axes):
-        where: Key = ("sweep", "axes", number)
-        columns: list[Column] = []
-        for name, given in axis.items():
-            if name == TABLE:
-                columns += _table(given, folder, (*where, name))
-            else:
-                columns.append(_column(name, given, (*where, name)))
-        sizes = {column.size for column in columns}
-        if len(sizes) > 1:
-            lengths = ", ".join(f"{column_name(c.key)}: {c.size}" for c in columns)
-            raise SweepFault(
-                where, f"its keys have different numbers of values ({lengths})", "equal numbers"
-            )
-        for column in columns:
-            _check_key(column, alone)
-            if column.key == ORIENTATION and not column.oriented:
-                raise SweepFault(
-                    column.where,
-                    "its values are no orientations",
-                    "a list of axes [d1, d2, d3] or of quaternions, or {random: axes, count: 10}; "
-                    "for angles sweep start.orientation.euler.phi and its like",
-                )
-            for other in seen:
-                short, long = sorted((column.key, other), key=len)
-                clash = long[: len(short)] == short
-                forms = column.key[:2] == other[:2] == ORIENTATION and column.key[2:3] != other[2:3]
-                if clash or forms:
-                    raise SweepFault(
-                        column.where,
-                        f"sets what {'.'.join(map(str, other))} sets already",
-                        "every key at most once, and one form of orientation",
-                    )
-            seen[column.key] = column.where
-        built.append(SweepAxis(tuple(columns), sizes.pop(), where))
-    shape = tuple(axis.size for axis in built)
-    if math.prod(shape) > MAX_POINTS:
-        raise SweepFault(("sweep", "axes"), f"make {math.prod(shape)} trajectories", "fewer values")
-    return SweepSpace(tuple(built), shape)
+    built: list[tuple[Column, ...]] = []
+    seen: list[Key] = []
+
+    def columns(name: str) -> list[Column]:
+        made = _columns(name, axis[name], folder)
+        for column in made:
+            _check_column(column, seen, alone)
+            seen.append(column.key)
+        return [replace(column, where=("sweep", "axes", index, name)) for column in made]
+
+    for index, axis in enumerate(axes):
+        with at("axes", index):
+            together = [column for made in gathered(columns, axis) for column in made]
+            if len({column.size for column in together}) > 1:
+                lengths = ", ".join(f"{column_name(c.key)}: {c.size}" for c in together)
+                wrong = f"its keys have different numbers of values ({lengths})"
+                raise Problem(wrong, "equal numbers")
+        built.append(tuple(together))
+    space = SweepSpace(tuple(built))
+    if space.size > MAX_POINTS:
+        raise Problem(f"make {space.size} trajectories", "fewer values", ("axes",))
+    return space
 
 
-def _check_key(column: Column, alone: bool) -> None:
-    dotted = ".".join(str(part) for part in column.key)
-    for fixed in _FIXED if alone else (*_FIXED, *_SHARED):
-        if dotted == fixed or dotted.startswith(fixed + "."):
-            right = "sweep other keys"
-            if fixed in _SHARED:
-                right += ", or set sweep.measure: each trajectory is then computed alone"
-            raise SweepFault(column.where, f"{fixed} is the same for all trajectories", right)
-
-
-def _column(name: str, given: Any, where: Key) -> Column:
-    key = parse_key(name)
-    if isinstance(given, (list, tuple)):
-        if not given:
-            raise SweepFault(where, "has no values", "at least one")
-        return _listed(key, given, where)
+def _columns(name: str, given: Any, folder: Path) -> list[Column]:
+    """Columns of an entry of an axis."""
+    if name == TABLE:
+        return _table(given, folder)
     if isinstance(given, dict):
-        return _generated(key, given, where)
-    raise SweepFault(
-        where,
-        f"is {describe(given)}",
-        f"a list of values, or one of {', '.join(_GENERATORS)} with count",
-    )
+        return [Rule.read(given).column(parse_key(name))]
+    if isinstance(given, (list, tuple)) and given:
+        return [_listed(parse_key(name), given)]
+    wrong = f"is {describe(given)}" if given != [] else "has no values"
+    raise Problem(wrong, f"a list of values, or one of {', '.join(_RULES)} with count")
 
 
-def _listed(key: Key, given: Sequence[Any], where: Key) -> Column:
-    plain = [_number_or_same(value) for value in given]
-    widths = {len(v) if isinstance(v, list) else 0 for v in plain}
-    if len(widths) > 1:
-        raise SweepFault(where, "mixes numbers and lists of different lengths", "one kind of value")
-    flat = [entry for v in plain for entry in (v if isinstance(v, list) else [v])]
+def _check_column(column: Column, seen: Sequence[Key], alone: bool) -> None:
+    """Refuse keys that are the same for all, that are set already, and what is no orientation."""
+    # Where trajectories are integrated together they share their options too.
+    for same in _FIXED if alone else (*_FIXED, "petsc"):
+        if parse_key(same) == column.key[: same.count(".") + 1]:
+            right = "sweep other keys"
+            if same == "petsc":
+                right += ", or set sweep.measure: each trajectory is then computed alone"
+            raise Problem(f"{same} is the same for all trajectories", right)
+    if column.key == ORIENTATION and not column.oriented:
+        raise Problem(
+            "its values are no orientations",
+            "a list of axes [d1, d2, d3] or of quaternions, or {random: axes, count: 10}; "
+            "for angles sweep start.orientation.euler.phi and its like",
+        )
+    for other in seen:
+        short, long = sorted((column.key, other), key=len)
+        forms = column.key[:2] == other[:2] == ORIENTATION and column.key[2:3] != other[2:3]
+        if forms or long[: len(short)] == short:
+            wrong = f"sets what {'.'.join(map(str, other))} sets already"
+            raise Problem(wrong, "every key at most once, and one form of orientation")
+
+
+def _listed(name: Key, given: Sequence[Any]) -> Column:
+    values = [with_numbers(value) for value in given]
+    if len({len(value) if isinstance(value, list) else 0 for value in values}) > 1:
+        raise Problem("mixes numbers and lists of different lengths", "one kind of value")
+    flat = [entry for v in values for entry in (v if isinstance(v, list) else [v])]
     if all(type(entry) in (int, float) for entry in flat):
-        values: Array = np.array(plain, dtype=np.float64)
-    else:
-        values = np.empty(len(plain), dtype=object)
-        values[:] = plain
-    return Column(key, where, values, size=len(plain))
+        return Column(name, np.array(values, dtype=np.float64), size=len(values))
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return Column(name, column, size=len(values))
 
 
-def _number_or_same(value: Any) -> Any:
-    """'90 deg' and '1/50' as numbers; words, lists of such, and everything else as it is."""
-    if value in ("inf", ".inf"):
-        return math.inf  # tumbling, as an orbit constant
-    if isinstance(value, str):
-        try:
-            return to_angle(value)
-        except Problem:
-            return value
-    if isinstance(value, list):
-        return [_number_or_same(entry) for entry in value]
-    return value
-
-
-def _generated(key: Key, given: Mapping[str, Any], where: Key) -> Column:
-    kinds = [kind for kind in _GENERATORS if kind in given]
-    if len(kinds) != 1:
-        raise SweepFault(
-            where, f"names {' and '.join(kinds) or 'no rule'}", f"one of {', '.join(_GENERATORS)}"
-        )
-    kind = kinds[0]
-    known = {kind, "count"} | ({"seed"} if kind in ("uniform", "random") else {"endpoint"})
-    for name in given:
-        if name not in known:
-            raise SweepFault(
-                (*where, name), "unknown key", f"known here: {', '.join(sorted(known))}"
-            )
-    if "count" not in given:
-        raise SweepFault(where, "does not say how many values", "add count, such as count: 10")
-    count = _integer(given["count"], (*where, "count"), 1)
-    seed = _integer(given.get("seed", 0), (*where, "seed"), 0)
-    if kind == "random":
-        return _random(key, given[kind], count, seed, where)
-    ends = given[kind]
-    if not isinstance(ends, (list, tuple)) or len(ends) != 2:
-        raise SweepFault((*where, kind), f"is {describe(ends)}", "two numbers: first and last")
-    pair = []
-    for index, end in enumerate(ends):
-        try:
-            pair.append(to_angle(end))
-        except Problem as error:
-            raise SweepFault((*where, kind, index), str(error).split(";")[0], "a number") from None
-    if kind == "uniform":
-        return Column(key, where, None, "uniform", count, seed, (pair[0], pair[1]))
-    endpoint = given.get("endpoint", True)
-    if not isinstance(endpoint, bool):
-        raise SweepFault((*where, "endpoint"), f"is {describe(endpoint)}", "true or false")
-    if kind == "logspace":
-        if not min(pair) > 0:
-            raise SweepFault((*where, kind), f"starts or ends at {min(pair):g}", "numbers > 0")
-        values = np.geomspace(pair[0], pair[1], count, endpoint=endpoint)
-    else:
-        values = np.linspace(pair[0], pair[1], count, endpoint=endpoint)
-    return Column(key, where, values, size=count)
-
-
-def _random(key: Key, kind: Any, count: int, seed: int, where: Key) -> Column:
-    if key != ORIENTATION:
-        raise SweepFault(
-            (*where, "random"),
-            "random axes and rotations are values of start.orientation",
-            "uniform: [low, high] for numbers",
-        )
-    if kind not in ("axes", "rotations"):
-        raise SweepFault(
-            (*where, "random"), f"is {describe(kind)}", "axes (on the sphere) or rotations"
-        )
-    return Column(key, where, None, kind, count, seed)
-
-
-def _integer(value: Any, where: Key, least: int) -> int:
-    try:
-        number = to_integer(value)
-    except Problem as error:
-        raise SweepFault(where, str(error).split(";")[0], "a whole number") from None
-    if number < least:
-        raise SweepFault(where, f"is {number}", f"must be >= {least}")
-    return number
-
-
-def _table(given: Any, folder: Path, where: Key) -> list[Column]:
+def _table(given: Any, folder: Path) -> list[Column]:
     """Columns of a CSV file whose first line names the keys."""
+    import csv
+
     if not isinstance(given, str):
-        raise SweepFault(where, f"is {describe(given)}", "the name of a CSV file")
+        raise Problem(f"is {describe(given)}", "the name of a CSV file")
     path = folder / given
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            header = next(csv.reader(stream), [])
-            body = stream.read()
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SweepFault(where, f"{path} cannot be read ({error})", "a CSV text file") from None
-    names = [name.strip() for name in header]
-    if not names or not all(names) or len(set(names)) != len(names):
-        raise SweepFault(where, f"the first line of {path} names no distinct keys", "a header")
-    keys = [parse_key(name) for name in names]
-    lines = body.splitlines()
+        header, *lines = path.read_text("utf-8-sig").splitlines() or [""]
+    except (OSError, ValueError) as error:
+        raise Problem(f"{path} cannot be read ({error})", "a CSV text file") from None
+    keys = [parse_key(name) for row in csv.reader([header]) for name in row]
+    if not keys or ("",) in keys or len(set(keys)) != len(keys):
+        raise Problem(f"the first line of {path} names no distinct keys", "a header")
+    lines = [line for line in lines if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise Problem(f"{path} has no rows below its header", "at least one")
     try:
-        numbers = np.loadtxt(lines, delimiter=",", ndmin=2) if any(lines) else np.empty((0, 0))
-        if numbers.shape[1] != len(names):
-            raise ValueError
-        columns: list[Array] = list(numbers.T)
-    except ValueError:
-        columns = _words(lines, names, path, where)
-    if not len(columns[0]):
-        raise SweepFault(where, f"{path} has no rows below its header", "at least one")
-    return [
-        Column(key, where, np.ascontiguousarray(values), size=len(values))
-        for key, values in zip(keys, columns, strict=True)
-    ]
-
-
-def _words(lines: Sequence[str], names: Sequence[str], path: Path, where: Key) -> list[Array]:
-    """Columns of a table that is not made of plain numbers alone."""
-    rows = []
-    for number, row in enumerate(csv.reader(lines), start=2):
-        if not row or row[0].startswith("#"):
-            continue
-        if len(row) != len(names):
-            raise SweepFault(
-                where, f"line {number} of {path} has {len(row)} entries", f"{len(names)} entries"
-            )
-        rows.append([_number_or_same(_cell(entry.strip())) for entry in row])
-    columns: list[Array] = []
-    for values in zip(*rows, strict=True):
-        if all(isinstance(value, float) for value in values):
-            columns.append(np.array(values))
-        else:
-            column: Array = np.empty(len(values), dtype=object)
-            column[:] = values
-            columns.append(column)
-    return columns or [np.empty(0)]
-
-
-def _cell(text: str) -> Any:
-    try:
-        return float(text)
-    except ValueError:
-        return text
+        numbers = np.loadtxt(lines, delimiter=",", ndmin=2)
+        columns = [np.ascontiguousarray(values) for values in numbers.T]
+        return [Column(*pair, size=len(numbers)) for pair in zip(keys, columns, strict=True)]
+    except ValueError:  # words or angles among them
+        rows = [[entry.strip() for entry in row] for row in csv.reader(lines)]
+    for index, row in enumerate(rows, start=1):
+        if len(row) != len(keys):
+            raise Problem(f"row {index} of {path} has {len(row)} entries", f"{len(keys)} entries")
+    return [_listed(keys[place], [row[place] for row in rows]) for place in range(len(keys))]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.space import Key
+from qbxstokes.case.values import Key
 from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.geometry import rotation

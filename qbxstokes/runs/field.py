@@ -184,7 +184,7 @@ def field_of_motion(
         )
         for index in chosen_instants(loaded, times)
     ]
-    key = json.dumps(plain(section.model_dump()))
+    key = json.dumps(plain(section))
     comm = ALONE if team is None else team.join(FIELD, instants, folder.joined(0), key)
     flow = FieldFlow(comm, loaded, clock)
     facts = FieldWork(comm, flow, instants, folder, key).write(writer)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
@@ -163,7 +164,7 @@ def _body_key(loaded: LoadedCase, scene: Simulation) -> str:
     """What the bodies of two trajectories have in common if one can stand for the other."""
     case = loaded.case
     options = {k: value for k, value in case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
-    alike = [case.body.aspect_ratio, case.hydrodynamics.model_dump(), options]
+    alike = [case.body.aspect_ratio, plain(case.hydrodynamics), options]
     return json.dumps([*alike, loaded.flow.degree, scene.need().completion], sort_keys=True)
 
 

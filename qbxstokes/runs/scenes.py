@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase, from_document
-from qbxstokes.case.space import Column, Key
+from qbxstokes.case.sweep import Column
+from qbxstokes.case.values import Key
 from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
 
@@ -81,7 +82,7 @@ class Scenes:
         self.loaded, self.space = loaded, loaded.space
         time = loaded.case.time
         for name, right in _SINGLE.items():
-            if getattr(loaded.case, name) != type(loaded.case).model_fields[name].default:
+            if getattr(loaded.case, name) != type(loaded.case).declared[name].default:
                 raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
         self.samples = len(time.at) if time.at is not None else time.samples
         section = loaded.case.sweep
@@ -269,8 +270,8 @@ class Scenes:
 
     def _classes_of(self, axis: int) -> list[Any]:
         """Points of one axis, grouped by what makes a scene."""
-        columns = [c for c in self.space.axes[axis].columns if self._makes_scene(c)]
-        size = self.space.axes[axis].size
+        columns = [c for c in self.space.axes[axis] if self._makes_scene(c)]
+        size = self.space.shape[axis]
         if not columns:
             return [range(size)] if size > 10**7 else [np.arange(size)]
         points = np.arange(size)
@@ -322,7 +323,7 @@ class Scenes:
         per_axis = []
         for axis, classes in zip(self.space.axes, self._classes, strict=True):
             first = np.array([int(points[0]) for points in classes])
-            told = [labels(column, first) for column in axis.columns if counts(column)]
+            told = [labels(column, first) for column in axis if counts(column)]
             names = list(zip(*told, strict=True)) if told else [()] * len(classes)
             known: dict[tuple[str, ...], int] = {}
             per_axis.append([known.setdefault(name, len(known)) for name in names])

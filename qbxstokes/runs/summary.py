@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from qbxstokes.case.constraints import FREE, LOCKED
 from qbxstokes.case.load import LoadedCase
+from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.space import Key, column_name
+from qbxstokes.case.sweep import column_name
+from qbxstokes.case.values import Key
 from qbxstokes.io.sweep import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
 from qbxstokes.runs.plan import plan_body

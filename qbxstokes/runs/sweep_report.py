@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from qbxstokes.case.space import column_name
+from qbxstokes.case.sweep import column_name
 from qbxstokes.io.sweep import Layout
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size
@@ -13,9 +13,9 @@ from qbxstokes.runs.sweep_layout import Swept
 
 
 def _axes(scenes: Swept) -> Rows:
-    for axis in scenes.space.axes:
-        names = ", ".join(column_name(column.key) for column in axis.columns)
-        yield names, f"{counted(axis.size, 'value')}{_range(axis.columns[0])}"
+    for columns in scenes.space.axes:
+        names = ", ".join(column_name(column.key) for column in columns)
+        yield names, f"{counted(columns[0].size, 'value')}{_range(columns[0])}"
 
 
 def _range(column: Any) -> str:

@@ -17,7 +17,7 @@ from qbxstokes.bie.field import (
     resolving_grid,
 )
 from qbxstokes.bie.operators import surface_operators
-from qbxstokes.case.hydrodynamics import Hydrodynamics
+from qbxstokes.case.running import Hydrodynamics
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.bie.accuracy import AccurateBody
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.resistance import Completion
-from qbxstokes.case.hydrodynamics import Hydrodynamics
-from qbxstokes.case.model import Invalid
+from qbxstokes.case.running import Hydrodynamics
+from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
 from qbxstokes.geometry.spheroid import Spheroid
@@ -98,7 +98,7 @@ class Body:
         if isinstance(hydrodynamics, Hydrodynamics):
             self.settings = hydrodynamics
             # A tolerance that nobody stated is one to come as near to as rounding allows.
-            self.strict = "tolerance" in hydrodynamics.model_fields_set
+            self.strict = "tolerance" in hydrodynamics.given_keys
         else:
             self.settings = _settings({"tolerance": tolerance, **(hydrodynamics or {})})
             self.strict = True
@@ -376,8 +376,7 @@ def _shape(
 
 def _settings(given: Mapping[str, Any]) -> Hydrodynamics:
     try:
-        return Hydrodynamics.model_validate(dict(given))
-    except Invalid as invalid:
-        fault = invalid.faults[0]
-        key = ".".join(["hydrodynamics", *map(str, fault.key)])
-        raise SceneError(key, fault.wrong or f"is {fault.value!r}", fault.right) from None
+        return Hydrodynamics.read(dict(given))
+    except Problem as problem:
+        key = ".".join(["hydrodynamics", *map(str, problem.key)])
+        raise SceneError(key, problem.wrong, problem.right) from None

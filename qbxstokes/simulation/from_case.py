@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.constraints import FREE, LOCKED
 from qbxstokes.case.load import LoadedCase, case_of, load_case
-from qbxstokes.case.start import Start
-from qbxstokes.case.time import Time
-from qbxstokes.case.timed import timed
+from qbxstokes.case.running import Time
+from qbxstokes.case.scene import FREE, LOCKED, Start
 from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -23,6 +21,7 @@ from qbxstokes.motion.diagnostics import orbit_axis, rotation_period
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
+from qbxstokes.simulation.timed import timed
 
 Array = NDArray[np.float64]
 
@@ -198,7 +197,7 @@ def loads_and_constraints(
 
 
 def weight(loaded: LoadedCase) -> Array:
-    """Weight less buoyancy, (3,): Theta G e (see `case.forces.Gravity`)."""
+    """Weight less buoyancy, (3,): Theta G e (see `case.scene.Gravity`)."""
     case = loaded.case
     gravity = case.forces.gravity
     assert gravity is not None

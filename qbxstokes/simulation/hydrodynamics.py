@@ -13,7 +13,7 @@ from qbxstokes.bie.accuracy import AccurateBody, RowFormer, accurate_body, choos
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import resolving_nodes
-from qbxstokes.case.hydrodynamics import GRADED_KEYS, Hydrodynamics
+from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation

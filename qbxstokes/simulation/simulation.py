@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.case.document import written
-from qbxstokes.case.events import Events as EventSettings
-from qbxstokes.case.model import Invalid
+from qbxstokes.case.running import Events as EventSettings
+from qbxstokes.case.values import Problem
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
@@ -270,8 +270,7 @@ def _event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSet
     if isinstance(given, EventSettings):
         return given
     try:
-        return EventSettings.model_validate(dict(given or {}))
-    except Invalid as invalid:
-        fault = invalid.faults[0]
-        key = ".".join(["events", *map(str, fault.key)])
-        raise SceneError(key, fault.wrong or f"is {fault.value!r}", fault.right) from None
+        return EventSettings.read(dict(given or {}))
+    except Problem as problem:
+        key = ".".join(["events", *map(str, problem.key)])
+        raise SceneError(key, problem.wrong, problem.right) from None

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.constraints import FREE
+from qbxstokes.case.document import plain
+from qbxstokes.case.scene import FREE
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 
@@ -27,13 +28,13 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
     a Python function.
     """
     body = scene.body
-    hydrodynamics = body.settings.model_dump()
+    hydrodynamics = plain(body.settings)
     case: dict[str, Any] = {
         "task": "motion",
         "body": {"aspect_ratio": body.aspect_ratio},
         "flow": _flow_keys(scene.flow),
         "hydrodynamics": {name: v for name, v in hydrodynamics.items() if v is not None},
-        "events": {n: v for n, v in scene.events.model_dump().items() if v not in (None, [], ())},
+        "events": {n: v for n, v in plain(scene.events).items() if v not in (None, [], ())},
         "time": {"tolerance": scene.tolerance},
     }
     if times is not None:
