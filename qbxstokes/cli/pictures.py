@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from qbxstokes.case.space import column_name, parse_key
+from qbxstokes.case.document import parse_key
+from qbxstokes.case.sweep import column_name
 from qbxstokes.errors import CaseError
 from qbxstokes.io.results import Result, SweepResult, load
 
