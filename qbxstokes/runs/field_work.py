@@ -123,22 +123,29 @@ class FieldWork:
         if writer is None:
             list(self._gathering.collect())
             return {}
-        group = self._lay_out(writer)
         whole: dict[tuple[str, int], Any] = {}
         found = Found()
-        with self.clock.part("output"):
-            for arrays, note in self._gathering.collect():
-                if note["key"] != self._key:
-                    continue
-                found.join(note["found"])
-                task = Task(*note["task"])
-                if task.kind == "points":
-                    name = self.flow.targets[task.target].name
-                    store.put_rows(group[name], task.instant, task.begin, arrays)
-                elif arrays:
-                    place = task.begin if task.kind == "error map" else task.instant
-                    whole[task.kind, place] = arrays
+        try:
+            group = self._lay_out(writer)
+            with self.clock.part("output"):
+                self._take(group, whole, found)
+        finally:
+            self._gathering.drain()
         return self._conclude(group, whole, found)
+
+    def _take(self, group: Any, whole: dict[tuple[str, int], Any], found: Found) -> None:
+        """On rank 0: write what all ranks hold; `whole` gets what only all of it can say."""
+        for arrays, note in self._gathering.collect():
+            if note["key"] != self._key:
+                continue
+            found.join(note["found"])
+            task = Task(*note["task"])
+            if task.kind == "points":
+                name = self.flow.targets[task.target].name
+                store.put_rows(group[name], task.instant, task.begin, arrays)
+            elif arrays:
+                place = task.begin if task.kind == "error map" else task.instant
+                whole[task.kind, place] = arrays
 
     def _finished(self) -> list[int]:
         """Numbers of the tasks that parts of earlier runs hold."""

@@ -46,6 +46,7 @@ class Gathering:
         self.every, self._most = every, most
         self._items: list[Item] = []
         self._bytes, self.saved_at = 0, time.monotonic()
+        self._waiting = [] if comm.rank else list(range(1, comm.size))
 
     def add(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
         """Take a finished item."""
@@ -84,8 +85,13 @@ class Gathering:
                 ) from None
             yield from _unpacked(arrays, note)
         yield from self._items
-        for rank in range(1, self._comm.size):
-            yield from self._comm.recv(source=rank, tag=_TAG)
+        while self._waiting:
+            yield from self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
+
+    def drain(self) -> None:
+        """Take from the other ranks what nobody wants, so that none of them waits for ever."""
+        while self._waiting:
+            self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
 
 
 def seconds_between(loaded: LoadedCase) -> float:

@@ -262,6 +262,8 @@ def _merged(
         os.replace(path, target)
     except OSError as error:
         raise unwritable(target, error) from None
+    finally:
+        gathering.drain()
     opening.close(remove=True)
     return {
         "result": str(target),
