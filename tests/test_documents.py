@@ -71,7 +71,7 @@ def test_python_of_the_readme(tmp_path):
     text = (ROOT / "README.md").read_text()
     section = text[text.index("\n## Python\n") :].split("\n## ")[1]
     examples = BLOCK.findall(section)
-    assert [kind for kind, _ in examples] == ["python", "python"]
+    assert [kind for kind, _ in examples] == ["python"] * 3
     run([sys.executable, "-c", "".join(code for _, code in examples)], tmp_path)
 
 
