@@ -1,9 +1,10 @@
-"""The schema told as a Markdown table and as JSON Schema."""
+"""The schema told as a page and as JSON Schema."""
 
 from __future__ import annotations
 
 import inspect
 import json
+import textwrap
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,23 +14,52 @@ from qbxstokes.case.schema import Case, keys
 
 SCHEMA_FILE = "case.schema.json"
 
+# Of the page of keys: columns in all, and those that a key with its default has.
+_WIDTH, _HEAD = 76, 36
+_INTRODUCTION = """\
+# Every key of a case file, with its default and its meaning
 
-def markdown_table() -> str:
-    """All keys as a Markdown table: key, default, meaning; then the flows with their keys."""
-    rows = ["| key | default | meaning |", "|---|---|---|"]
+`body.aspect_ratio` is the key `aspect_ratio` in the section `body`. A key stands
+with its default after the colon; one without a default is left out unless you
+give it. A choice of words is shown as `one / another`. Numbers may be arithmetic
+(`1/50`, `pi/2`, `sqrt(2)/2`), angles degrees (`90 deg`).
+
+`python -m qbxstokes new` prints a case with every key in its place, and editors
+check one that names the schema in its first line, as those in `cases/` do.
+(`python -m qbxstokes schema --write` writes this page and the schema.)"""
+
+
+def keys_page() -> str:
+    """The page `keys`: all keys with default and meaning, then the flows with their keys."""
+    rows: dict[str, list[str]] = {}
     for name, key in keys():
-        default, shown = "required" if key.required else "", default_of(key)
-        if shown is not None:
-            default = f"`{shown if isinstance(shown, str) else json.dumps(shown)}`"
-        rows.append(f"| `{name}` | {default} | {meaning_of(key)} |")
-    rows += ["", "| `flow.type` | its keys, with defaults | flow |", "|---|---|---|"]
+        default = default_of(key)
+        shown = default if default is None or isinstance(default, str) else json.dumps(default)
+        head = name if shown is None else f"{name}: {shown}"
+        meaning = meaning_of(key) + (" (required)" if key.required else "")
+        rows.setdefault(name.split(".")[0], []).append(_entry(head, meaning))
+    lines = [*_INTRODUCTION.splitlines()]
+    for section, entries in rows.items():
+        lines += ["", f"## {section}", "", "```text", *entries, "```"]
+    lines += ["", "## The flows: what flow.type may be", "", "```text"]
     for name, parameters, summary in flows():
-        listed = ", ".join(
-            f"`{key}`" if default is inspect.Parameter.empty else f"`{key}: {json.dumps(default)}`"
+        listed = "  ".join(
+            key if default is inspect.Parameter.empty else f"{key}: {json.dumps(default)}"
             for key, default in parameters.items()
         )
-        rows.append(f"| `{name}` | {listed} | {summary} |")
-    return "\n".join(rows)
+        head = textwrap.wrap(f"{name}  {listed}", _WIDTH, subsequent_indent="    ")
+        text = textwrap.wrap(summary, _WIDTH, initial_indent="    ", subsequent_indent="    ")
+        lines += [*head, *text]
+    return "\n".join([*lines, "```"]) + "\n"
+
+
+def _entry(head: str, meaning: str) -> str:
+    """A key and its default, and beside it, or below where it is long, what it means."""
+    lines = textwrap.wrap(meaning, _WIDTH - _HEAD)
+    rest = [" " * _HEAD + line for line in lines]
+    if len(head) > _HEAD - 2:
+        return "\n".join([head, *rest])
+    return "\n".join([f"{head:{_HEAD}}{lines[0]}", *rest[1:]])
 
 
 def flows() -> Iterator[tuple[str, dict[str, Any], str]]:

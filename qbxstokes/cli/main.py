@@ -31,7 +31,8 @@ commands
   info FILE           what a result file holds and how it was made
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
-  schema              JSON Schema of case files (--table: as Markdown)
+  help [TOPIC]        the manual, a page per topic (help keys: every key of a case)
+  schema              JSON Schema of case files, for editors
   doctor              versions, MPI, PETSc, threads, write access
 
 options of a run
@@ -111,7 +112,7 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")
     parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
-    flags = "explain dry-run overwrite resume no-cache quiet json version help table write"
+    flags = "explain dry-run overwrite resume no-cache quiet json version help write"
     for flag in flags.split():
         parser.add_argument(f"--{flag}", action="store_true")
     return parser.parse_intermixed_args(list(own))
@@ -235,19 +236,19 @@ def _info(options: argparse.Namespace, words: Sequence[str]) -> int:
 
 
 def _schema(options: argparse.Namespace, words: Sequence[str]) -> int:
-    """Print the schema, or bring the file that editors use up to date."""
+    """Print the schema, or bring the file that editors use and the page of keys up to date."""
     from qbxstokes.case import describe
+    from qbxstokes.cli.pages import PAGES
 
     if words:
         raise CaseError(f"command line: {words[0]}: schema takes no file")
-    if options.table:
-        print(describe.markdown_table())
-        return 0
     text = json.dumps(describe.json_schema(), indent=1) + "\n"
     if options.write:
         path = Path(describe.__file__).with_name(describe.SCHEMA_FILE)
+        page = PAGES / "keys.md"
         path.write_text(text)
-        print(f"{path}: written")
+        page.write_text(describe.keys_page())
+        print(f"{path}: written\n{page}: written")
     else:
         print(text, end="")
     return 0
@@ -267,10 +268,19 @@ def _doctor(options: argparse.Namespace, words: Sequence[str]) -> int:
     return 0 if all(finding.ok for finding in findings) else 1
 
 
+def _help(options: argparse.Namespace, words: Sequence[str]) -> int:
+    """Print a page of the manual, or the list of them."""
+    from qbxstokes.cli.pages import contents, page
+
+    print(page(_one(words, "help takes one topic")) if words else contents(), end="")
+    return 0
+
+
 _COMMANDS: dict[str, Callable[[argparse.Namespace, Sequence[str]], int]] = {
     "check": _check,
     "new": _new,
     "info": _info,
+    "help": _help,
     "schema": _schema,
     "doctor": _doctor,
 }
