@@ -47,9 +47,8 @@ def keys_page() -> str:
             key if default is inspect.Parameter.empty else f"{key}: {json.dumps(default)}"
             for key, default in parameters.items()
         )
-        head = textwrap.wrap(f"{name}  {listed}", _WIDTH, subsequent_indent="    ")
-        text = textwrap.wrap(summary, _WIDTH, initial_indent="    ", subsequent_indent="    ")
-        lines += [*head, *text]
+        lines += textwrap.wrap(f"{name}  {listed}", _WIDTH, subsequent_indent="    ")
+        lines += textwrap.wrap(summary, _WIDTH, initial_indent="    ", subsequent_indent="    ")
     return "\n".join([*lines, "```"]) + "\n"
 
 

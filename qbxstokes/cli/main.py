@@ -31,7 +31,7 @@ commands
   info FILE           what a result file holds and how it was made
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
-  help [TOPIC]        the manual, a page per topic (help keys: every key of a case)
+  help [TOPIC]        the manual; help keys has every key of a case
   schema              JSON Schema of case files, for editors
   doctor              versions, MPI, PETSc, threads, write access
 

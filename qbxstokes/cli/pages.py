@@ -6,10 +6,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import qbxstokes
 from qbxstokes.errors import CaseError
 
-PAGES = Path(qbxstokes.__file__).with_name("pages")
+PAGES = Path(__file__).parents[1] / "pages"
 
 
 def topics() -> dict[str, str]:
