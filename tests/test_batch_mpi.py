@@ -140,6 +140,70 @@ def test_an_exception_on_one_rank_ends_the_job_with_its_message(
     assert contents(tmp_path / "case.h5") == whole
 
 
+# Rank 0 raises where it is told to, and says when.
+BROKEN = """
+import os, sys, time
+from importlib import import_module
+from mpi4py import MPI
+where, _, kind = os.environ["BROKEN"].partition(" ")
+module, _, name = where.rpartition(":")
+holder, _, attribute = name.rpartition(".")
+owner = import_module(module)
+owner = getattr(owner, holder) if holder else owner
+def broken(*arguments, **options):
+    print(f"at {time.time()}", flush=True)
+    raise (OSError(28, "No space left on device") if kind else ZeroDivisionError("the fuse"))
+if MPI.COMM_WORLD.rank == 0:
+    setattr(owner, attribute, broken)
+from qbxstokes.cli.main import run_command
+sys.exit(run_command(sys.argv[1:]))
+"""
+SWEEP_FAILS = [
+    "qbxstokes.io.sweep:create",
+    "qbxstokes.io.sweep:create full",
+    "qbxstokes.runs.sweep:todo_of",
+    "qbxstokes.runs.block:compute_block",
+    "qbxstokes.io.sweep:WholeFile.write_rows",
+    "qbxstokes.io.store:write_whole full",
+    "qbxstokes.runs.scenes:Scenes.scene",
+]
+MOTION_FAILS = [
+    "qbxstokes.simulation.simulation:Simulation.assemble",
+    "qbxstokes.io.writer:ResultWriter.append",
+    "qbxstokes.io.field:create",
+    "qbxstokes.io.field:put_rows",
+    "qbxstokes.io.writer:ResultWriter.finish full",
+    "qbxstokes.runs.field_work:FieldWork._do",
+]
+SOME = ("qbxstokes.io.sweep:WholeFile.write_rows", "qbxstokes.io.field:put_rows")
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        pytest.param(where, marks=() if where in SOME else pytest.mark.slow)
+        for where in SWEEP_FAILS + MOTION_FAILS
+    ],
+)
+def test_a_failure_of_rank_0_ends_the_job_within_seconds(
+    where: str, mpirun: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None waits for ever: not for what rank 0 would have sent, nor for it to take what they do."""
+    case = CASE
+    if where in MOTION_FAILS:
+        case = {key: CASE[key] for key in ("body", "flow", "time", "hydrodynamics")}
+        case["field"] = {"plane": {"shape": [20, 20]}, "every": 5, "check": 2, "vtk": False}
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    monkeypatch.setenv("BROKEN", where)
+    done = mpirun(2, "case.yaml", "--quiet", script=BROKEN, timeout=90)
+    failed = float(done.stdout.split("at ")[1].split()[0])
+    assert done.returncode != 0
+    assert time.time() - failed < 15.0
+    assert ("No space left" if where.endswith("full") else "ZeroDivisionError: the fuse") in (
+        done.stderr
+    )
+
+
 def children(group: int) -> Iterator[int]:
     """Processes of a session that run Python."""
     for entry in Path("/proc").iterdir():

@@ -233,6 +233,11 @@ class Output(Section):
     fields: Annotated[tuple[str, ...], some(choice(*MOTION))] | None = key(
         "quantities to store besides time; unset: all", None, ["position", "axis"]
     )
+    merge: bool = key(
+        "copy the parts of a sweep into one file; false: they stay in FILE.parts, which the result "
+        "shows as one (HDF5 virtual datasets): half the disk",
+        True,
+    )
 
 
 class Compare(Section):

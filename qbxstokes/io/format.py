@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 FORMAT = "qbxstokes"
 FORMAT_VERSION = 1
+PARTS = "parts"  # the group that names the parts which a result shows
 CONVENTIONS = (
     "Nondimensional: length c (polar radius), time tau, speed c/tau, force mu c^2/tau, torque "
     "mu c^3/tau. Orientation: unit quaternion (q0, q1, q2, q3), scalar first, R(q) maps body to "

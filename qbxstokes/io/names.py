@@ -23,11 +23,6 @@ def parts_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def free_name(path: Path) -> Path:
-    """`path` where nothing is there yet, else the first numbered name that is free."""
-    return next(name for name in numbered(path) if not os.path.lexists(name))
-
-
 def check_writable(path: Path, overwrite: bool = False) -> None:
     """Refuse a target that cannot be written, before anything is computed; raises CaseError.
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.format import FORMAT, FORMAT_VERSION, read_tree
+from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, read_tree
 
 if TYPE_CHECKING:
     import h5py
@@ -125,8 +125,11 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
 
             if name not in self.shapes:
                 raise KeyError(name)
-            with h5py.File(self.path, "r") as file:
-                self._held[name] = file[name][()]
+            try:
+                with h5py.File(self.path, "r") as file:
+                    self._held[name] = file[name][()]
+            except OSError as error:
+                raise _damaged(self.path, error) from None
         return self._held[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -262,6 +265,7 @@ def load(path: str | Path) -> Result:
             groups = {name: read_tree(file[name]) for name in file if name not in items}
             attributes = {name: _told(item) for name, item in items.items()}
             if header["task"] == "sweep":  # its datasets are read later, by name
+                _look_for_parts(path, groups.get(PARTS, {}))
                 lazy = LazyArrays(path, {name: item.shape for name, item in items.items()})
                 return SweepResult(path, header, lazy, attributes, groups)
             arrays = {name: item[()] for name, item in items.items()}
@@ -270,9 +274,36 @@ def load(path: str | Path) -> Result:
     except ResultFileError:
         raise
     except Exception as error:  # h5py reports damage by errors of many kinds
-        reason = " ".join(str(error).split())
-        raise ResultFileError(f"{path}: is damaged or truncated ({reason})") from None
+        raise _damaged(path, error) from None
     return Result(path, header, arrays, attributes, groups)
+
+
+def _damaged(path: Path, error: Exception) -> ResultFileError:
+    reason = " ".join(str(error).split())
+    return ResultFileError(f"{path}: is damaged or truncated ({reason})")
+
+
+def _look_for_parts(path: Path, parts: Mapping[str, Any]) -> None:
+    """Raise ResultFileError unless the parts that a result shows are there, each as a whole."""
+    for name, size in zip(parts.get("name", ()), parts.get("bytes", ()), strict=True):
+        part = path.parent / name
+        if not part.is_file() or part.stat().st_size != size:
+            wrong = "is damaged" if part.is_file() else "is not there"
+            raise ResultFileError(
+                f"{path}: shows what stands in {part}, which {wrong}; move both together, or let "
+                "--resume compute it again"
+            )
+
+
+def shows_parts(path: Path) -> bool:
+    """Whether a file is a result that shows its parts rather than holding what stood in them."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return file.attrs.get("format") == FORMAT and PARTS in file
+    except OSError:
+        return False
 
 
 def _told(item: h5py.Dataset) -> dict[str, Any]:

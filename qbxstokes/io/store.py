@@ -4,7 +4,8 @@ A result `NAME.h5` in the making has a working folder `NAME.h5.parts/` with
 
     lock          held by the run that is at work, and gone with it however it ends
     run.json      what the numbers depend on: a run goes on only where nothing of it has changed
-    KIND-*.h5     parts: arrays of finished work with a note, numbered by run, writer and order
+    KIND-*.h5     parts: arrays of finished work with a note, numbered by run, writer and order;
+                  the result may show them in place of copies, and they then stay (`finished`)
     state-*.h5    resumable states of work in progress, each replaced by the next
 
 Every file is written by one process under a temporary name, brought to the disk and renamed: one
@@ -28,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, OutputError
-from qbxstokes.io.names import free_name, numbered, parts_of
+from qbxstokes.io.names import numbered, parts_of
+from qbxstokes.io.results import shows_parts
 
 Array = NDArray[Any]
 
@@ -192,9 +194,13 @@ class Work:
         self._lock = _locked(self.folder)
         return self
 
-    def note_run(self) -> None:
-        """Write down what this run is: from now on it may be gone on with."""
+    def note_run(self, finished: bool = False) -> None:
+        """Write down what this run is: from now on it may be gone on with, unless it is finished.
+
+        finished: the result is there, and shows the parts.
+        """
         told = {"run": self.run, "identity": self.identity, "mends": self.mends}
+        told["finished"] = finished
         try:
             write_whole(self.folder / RUN, json.dumps(told).encode())
         except OSError as error:
@@ -259,6 +265,7 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
             "run": int(found["run"]),
             "identity": dict(found["identity"]),
             "mends": bool(found.get("mends")),
+            "finished": bool(found.get("finished")),
         }
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -266,7 +273,9 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
 
 def holds_work(folder: Path) -> bool:
     """Whether an earlier run has left anything in a working folder to go on with."""
-    return _run_in(folder) is not None and any(folder.glob(f"[!.]*-*{_SUFFIX}"))
+    told = _run_in(folder)
+    work = any(folder.glob(f"[!.]*-*{_SUFFIX}"))
+    return told is not None and not told["finished"] and work
 
 
 def open_work(
@@ -282,7 +291,7 @@ def open_work(
     if resume:
         for name in islice(numbered(asked), NUMBERED):
             if holds_work(parts_of(name)):
-                return _reopened(name, wanted)
+                return reopen(name, wanted)
             if not name.exists():
                 break
     target = asked if overwrite else free_name(asked)
@@ -297,12 +306,24 @@ def open_work(
                 f"{name}: an unfinished run is kept in {folder}; go on with --resume, or begin "
                 "anew with --overwrite"
             )
+    if any(work.folder.glob(f"[!.]*-*{_SUFFIX}")) and shows_parts(target):
+        target.unlink()  # it would show what takes the place of its parts
     _cleared(work.folder)
     return work
 
 
-def _reopened(target: Path, wanted: dict[str, Any]) -> Work:
-    """The unfinished run of a result, held, if it depends on what this one does."""
+def free_name(path: Path) -> Path:
+    """`path`, or the first numbered name that neither a result nor the parts of one have."""
+    return next(
+        name
+        for name in numbered(path)
+        if not os.path.lexists(name) and not (_run_in(parts_of(name)) or {}).get("finished")
+    )
+
+
+def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
+    """The run of a result, held, if it depends on what this one does; raises CaseError."""
+    wanted = json.loads(json.dumps(identity))
     work = Work(target, wanted, 1).hold()
     found = _run_in(work.folder)
     other = "case" if found is None else first_difference(found["identity"], wanted)

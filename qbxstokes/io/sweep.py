@@ -1,4 +1,4 @@
-"""Result of a sweep: one HDF5 file that one process lays out and fills.
+"""Result of a sweep: one HDF5 file that one process lays out and fills, or that shows its parts.
 
 The file is laid out completely before anything is put into it: contiguous datasets, all metadata in
 place, the room on the disk reserved. From then on HDF5 is not involved: rows of trajectories, which
@@ -8,14 +8,20 @@ Layout (format_version 1, task "sweep"): `table` (n), one row per trajectory wit
 and the summary of each; `time` (T), or (n, T) where the instants differ; the quantities of
 `quantities.MOTION` (n, T, ...), each with the dimension scales `trajectory` and the swept values on
 the first axis and `time` (or `sample`) on the second.
+
+A result that is not merged holds the scales alone; the table and the quantities are virtual
+datasets, which HDF5 puts together from the parts (`io.store`) when they are read. These are named
+relative to the result, so that both may be moved together. HDF5 reads fill values in place of a
+part that is missing; the group `parts` says which there must be, and `io.results` looks for them.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import OutputError, ResultFileError
-from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
-from qbxstokes.io.places import placed_dataset, reserve, write_at
+from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
+from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
 from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:
@@ -70,15 +76,27 @@ class Layout:
         return self.size * self.row_bytes
 
 
+@dataclass(frozen=True)
+class Shown:
+    """Rows of a part that a result shows: its `rows` (m,) are the `places` (m,) of `size`."""
+
+    path: Path
+    size: int
+    rows: Array
+    places: Array
+
+
 def create(
     path: Path,
     layout: Layout,
     provenance: Mapping[str, Any],
     coordinates: Iterator[tuple[int, dict[str, Array]]],
+    shown: Sequence[Shown] | None = None,
 ) -> WholeFile:
     """Lay out a file, to be filled; raises OSError on a full disk.
 
-    coordinates: (first trajectory, column -> values) in pieces.
+    coordinates: (first trajectory, column -> values) in pieces. shown: parts that the result shows
+    instead of rows of its own.
     """
     import h5py
 
@@ -91,7 +109,15 @@ def create(
         totals.attrs["complete"] = True  # a file that carries its name is whole
         for name in TOTALS:
             placed_dataset(totals, name, (), np.dtype(np.float64))
-        _lay_out(file, layout)
+        if shown is None:
+            _lay_out(file, layout, partial(placed_dataset, file))
+        else:
+            _lay_out(file, layout, partial(_virtual_dataset, file, shown))
+            group = file.create_group(PARTS)
+            names = [_relative(part.path) for part in shown]
+            group.create_dataset("name", data=names, track_times=False)
+            sizes = [part.path.stat().st_size for part in shown]
+            group.create_dataset("bytes", data=sizes, track_times=False)
         file.flush()
         offsets = _offsets(file)
     reserve(path)
@@ -102,20 +128,70 @@ def create(
     return whole
 
 
-def check_room(folder: Path, layout: Layout) -> None:
-    """Refuse a sweep that the disk cannot hold, parts and result; raises OutputError."""
-    free, needed = shutil.disk_usage(folder).free, 2 * layout.bytes
+def check_room(folder: Path, layout: Layout, merge: bool) -> None:
+    """Refuse a sweep that the disk cannot hold, parts and merged result; raises OutputError."""
+    free, needed = shutil.disk_usage(folder).free, (1 + merge) * layout.bytes
     if free < needed:
+        half = "half of them while it runs; make room, output.merge: false, or store: summary"
         raise OutputError(
-            f"{folder}: {free / 1e6:.3g} MB are free, and the sweep needs {needed / 1e6:.3g} MB, "
-            "half of them while it runs; make room, or store: summary"
+            f"{folder}: {free / 1e6:.3g} MB are free, and the sweep needs {needed / 1e6:.3g} MB"
+            + (f", {half}" if merge else "; make room, or store: summary")
         )
 
 
-def _lay_out(file: h5py.File, layout: Layout) -> None:
-    """All datasets with their scales; the numbers come later."""
+def _relative(part: Path) -> str:
+    """The name of a part as the result beside its folder has it."""
+    return f"{part.parent.name}/{part.name}"
+
+
+def _virtual_dataset(
+    file: h5py.File,
+    shown: Sequence[Shown],
+    name: str,
+    shape: tuple[int, ...],
+    dtype: np.dtype[Any],
+    about: Quantity | None = None,
+) -> h5py.Dataset:
+    """A dataset whose rows stand in parts."""
+    import h5py
+
+    whole = h5py.VirtualLayout(shape, dtype)
+    for part in shown:
+        held = h5py.VirtualSource(_relative(part.path), name, (part.size, *shape[1:]), dtype)
+        for rows, places in zip(*map(_slices, _even(part.rows, part.places)), strict=True):
+            whole[rows] = held[places]
+    data = file.create_virtual_dataset(name, whole, np.nan if dtype.kind == "f" else None)
+    if about is not None:
+        describe(data, about)
+    return data
+
+
+def _even(rows: Array, places: Array) -> tuple[list[Array], list[Array]]:
+    """Both cut into stretches in which each of them rises evenly."""
+    steps = np.stack([np.diff(rows), np.diff(places)])
+    changes = np.flatnonzero(np.any(np.diff(steps), axis=0))
+    edges, rising = [0], np.all(steps > 0, axis=0)
+    while edges[-1] < len(rows):
+        first = edges[-1]
+        if first + 1 == len(rows) or not rising[first]:
+            edges.append(first + 1)
+            continue
+        after = np.searchsorted(changes, first)
+        edges.append(int(changes[after]) + 2 if after < len(changes) else len(rows))
+    cut = [slice(*edge) for edge in pairwise(edges)]
+    return [rows[part] for part in cut], [places[part] for part in cut]
+
+
+def _slices(stretches: list[Array]) -> Iterator[slice]:
+    for numbers in stretches:
+        step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
+        yield slice(int(numbers[0]), int(numbers[-1]) + 1, step)
+
+
+def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Dataset]) -> None:
+    """All datasets with their scales; the numbers come later. rows_of: makes those with rows."""
     numbers = np.dtype(np.float64)
-    table = placed_dataset(file, "table", (layout.size,), layout.dtype)
+    table = rows_of("table", (layout.size,), layout.dtype)
     table.attrs["description"] = "one row per trajectory"
     for name in layout.dtype.names or ():
         about = layout.descriptions[name]
@@ -137,8 +213,10 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
     if not layout.quantities:
         return
     own = layout.times is None
-    shape = (layout.size, layout.samples) if own else (layout.samples,)
-    time = placed_dataset(file, "time", shape, numbers, TIME)
+    if own:
+        time = rows_of("time", (layout.size, layout.samples), numbers, TIME)
+    else:
+        time = placed_dataset(file, "time", (layout.samples,), numbers, TIME)
     second = time
     if own:
         second = placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), SAMPLE)
@@ -149,9 +227,7 @@ def _lay_out(file: h5py.File, layout: Layout) -> None:
         time.make_scale("time")
     for name in layout.quantities:
         about = MOTION[name]
-        data = placed_dataset(
-            file, name, (layout.size, layout.samples, *about.shape), numbers, about
-        )
+        data = rows_of(name, (layout.size, layout.samples, *about.shape), numbers, about)
         for scale in (index, *scales):
             data.dims[0].attach_scale(scale)
         data.dims[1].attach_scale(second)
@@ -249,5 +325,5 @@ def _offsets(file: h5py.File) -> dict[str, int]:
     return {
         name: int(item.id.get_offset())
         for name, item in {**file, **totals}.items()
-        if isinstance(item, h5py.Dataset)
+        if isinstance(item, h5py.Dataset) and not item.is_virtual
     }

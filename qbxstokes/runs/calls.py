@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from qbxstokes.case.document import document_of, parse, plain, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.io.names import free_name
 from qbxstokes.io.results import Result, load
+from qbxstokes.io.store import free_name
 from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.command import compute_case
 
@@ -66,6 +66,7 @@ def _computed(
     file: str | Path | None,
     overwrite: bool,
     quiet: bool,
+    merge: bool = True,
 ) -> Result:
     """The result of a case with `more` keys."""
     from qbxstokes.runs.parallel import on_root, world
@@ -80,6 +81,8 @@ def _computed(
             for key, value in more.items():
                 document.override(f"{key}={json.dumps(plain(value))}")
         document.override(f"output.file={json.dumps(str(target))}")
+        if not merge:
+            document.override("output.merge=false")
         return checked(document, path)
 
     comm = world()
@@ -107,13 +110,15 @@ def sweep(
     file: str | Path | None = None,
     overwrite: bool = False,
     quiet: bool = True,
+    merge: bool = True,
     **section: Any,
 ) -> SweepResult:
     """Compute a case for all combinations of values of some of its keys.
 
     axes: key of the case -> its values (n,), or {"logspace": [a, b], "count": n} and the like, as
     in the section `sweep` of a case file; `section` takes the other keys of that section, such as
-    store="summary". The rest as for `run`. In the result, `table` has a row per trajectory and
+    store="summary". merge: False leaves the rows in parts beside the file, which shows them as one
+    (half the disk). The rest as for `run`. In the result, `table` has a row per trajectory and
     `shape` an entry per axis.
 
     >>> import numpy as np, qbxstokes as qs
@@ -131,7 +136,7 @@ def sweep(
     (3, 101, 3)
     """
     given = {"axes": [{key: values} for key, values in axes.items()], **section}
-    result = _computed(case, {"sweep": given}, file, overwrite, quiet)
+    result = _computed(case, {"sweep": given}, file, overwrite, quiet, merge)
     return result  # type: ignore[return-value]
 
 

@@ -8,7 +8,8 @@ is left at the end goes to rank 0 by a message.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,14 +77,7 @@ class Gathering:
             self._comm.send(self._items, dest=0, tag=_TAG)
             return
         for path in self.work.parts(self._kind):
-            try:
-                arrays, note = read_part(path)
-            except (DamagedPart, OSError) as error:
-                path.unlink(missing_ok=True)
-                raise ResultFileError(
-                    f"{error}; its work is lost, and done again with --resume"
-                ) from None
-            yield from _unpacked(arrays, note)
+            yield from _unpacked(*read_whole(path))
         yield from self._items
         while self._waiting:
             yield from self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
@@ -92,6 +86,18 @@ class Gathering:
         """Take from the other ranks what nobody wants, so that none of them waits for ever."""
         while self._waiting:
             self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
+
+
+def read_whole(path: Path, names: Sequence[str] | None = None) -> Item:
+    """Arrays (those of the names, or all) and note of a part; removes it if it is damaged.
+
+    Raises ResultFileError then.
+    """
+    try:
+        return read_part(path, names)
+    except (DamagedPart, OSError) as error:
+        path.unlink(missing_ok=True)
+        raise ResultFileError(f"{error}; its work is lost, and done again with --resume") from None
 
 
 def seconds_between(loaded: LoadedCase) -> float:

@@ -65,6 +65,8 @@ def plan_of(loaded: LoadedCase) -> Plan:
         "body": plan_body,
         "field": plan_field,
     }
+    if loaded.space is None and not loaded.case.output.merge:
+        raise loaded.error("output.merge", "only a sweep has parts to show", "leave it out")
     return makers[loaded.case.task](loaded)
 
 

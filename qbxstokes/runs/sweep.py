@@ -9,14 +9,17 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep as store
 from qbxstokes.io.names import check_writable
-from qbxstokes.io.store import Work, holds_work, open_work, unwritable
+from qbxstokes.io.results import shows_parts
+from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
 from qbxstokes.runs import handout
 from qbxstokes.runs.compilation import compilation_told
-from qbxstokes.runs.gathering import Gathering, seconds_between
+from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
@@ -140,11 +143,14 @@ def _computed(
     }
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
+        if not todo.merges:
+            gathering.save()
         if comm.rank:
             list(gathering.collect())
+        finish = _merged if todo.merges else _shown
         return on_root(
             comm,
-            lambda: _merged(
+            lambda: finish(
                 scenes, layout, gathering, opening, job.provenance | about, elapsed, comm.size
             ),
         )
@@ -182,6 +188,11 @@ class Opening:
             if work.mends:
                 self.base = work.target
             todo = todo_of(self._scenes, work, self.failures() if self.base else None)
+        elif shows_parts(done):  # its parts are all there is: what they lack is to be done
+            todo = todo_of(self._scenes, Work(done, {}, 2), None)
+            if not todo.numbers and not self._scenes.loaded.case.output.merge:
+                return Work(done, {}, 1), todo, done
+            work = reopen(done, self._identity)
         else:
             self.base = done
             todo = self.failures()
@@ -191,7 +202,8 @@ class Opening:
             work.mends = True
         self.work = work
         try:
-            store.check_room(work.target.parent, self._layout)
+            todo.merges = self.base is not None or self._scenes.loaded.case.output.merge
+            store.check_room(work.target.parent, self._layout, todo.merges)
             work.note_run()
         except BaseException:
             self.close()
@@ -247,26 +259,74 @@ def _merged(
                 whole.write_rows(rows.pop("index"), rows)
                 for told in note.get("items", [note]):
                     found.learn(told)
-            failed = {i: why for part in found.failed.values() for i, why in part.items()}
-            numbers = {
-                "trajectories": layout.size,
-                "done": layout.size - len(failed),
-                "failed": len(failed),
-                **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations")},
-                "wall_time": elapsed,
-                "ranks": ranks,
-            }
-            for name, value in numbers.items():
-                whole.write_total(name, value)
-            whole.flush()
+            summary = _sum_up(scenes, whole, found, elapsed, ranks)
         os.replace(path, target)
     except OSError as error:
         raise unwritable(target, error) from None
     finally:
         gathering.drain()
     opening.close(remove=True)
+    return {"result": str(target), **summary}
+
+
+def _shown(
+    scenes: Swept,
+    layout: store.Layout,
+    gathering: Gathering,
+    opening: Opening,
+    provenance: dict[str, Any],
+    elapsed: float,
+    ranks: int,
+) -> dict[str, Any]:
+    """On rank 0: a result that shows the parts, which stay; its summary."""
+    work = opening.work
+    assert work is not None
+    gathering.drain()  # the other ranks have made safe what they had
+    found, parts = Todo([]), work.parts(BLOCKS)
+    latest = np.full(layout.size, -1, dtype=np.int32)  # the part that holds a trajectory
+    indices = []
+    for number, path in enumerate(parts):
+        arrays, note = read_whole(path, ["index"])
+        indices.append(arrays["index"])
+        latest[arrays["index"]] = number
+        for told in note["items"]:
+            found.learn(told)
+    shown = []
+    for number, (path, index) in enumerate(zip(parts, indices, strict=True)):
+        places = np.flatnonzero(latest[index] == number)
+        shown.append(store.Shown(path, len(index), index[places], places))
+    path, target = work.folder / _RESULT, work.target
+    scales = scales_of(scenes, layout)
+    try:
+        with store.create(path, layout, provenance, scales, shown) as whole:
+            summary = _sum_up(scenes, whole, found, elapsed, ranks)
+        os.replace(path, target)
+    except OSError as error:
+        raise unwritable(target, error) from None
+    for state in work.parts("state"):
+        state.unlink(missing_ok=True)
+    work.note_run(finished=True)
+    work.close()
+    return {"result": str(target), "parts": str(work.folder), **summary}
+
+
+def _sum_up(
+    scenes: Swept, whole: store.WholeFile, found: Todo, elapsed: float, ranks: int
+) -> dict[str, Any]:
+    """The totals, into the file as well; the file is on the disk then."""
+    failed = {i: why for part in found.failed.values() for i, why in part.items()}
+    numbers = {
+        "trajectories": scenes.space.size,
+        "done": scenes.space.size - len(failed),
+        "failed": len(failed),
+        **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations")},
+        "wall_time": elapsed,
+        "ranks": ranks,
+    }
+    for name, value in numbers.items():
+        whole.write_total(name, value)
+    whole.flush()
     return {
-        "result": str(target),
         "complete": False,
         **numbers,
         "scenes": scenes.size,

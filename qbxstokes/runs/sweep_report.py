@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from qbxstokes.case.sweep import column_name
+from qbxstokes.io.names import parts_of
 from qbxstokes.io.sweep import Layout
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size
@@ -34,9 +35,12 @@ def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ra
         f"({duration(estimate.work)} of work; a factor of 2 either way), and "
         f"{duration(START_SECONDS)} to start"
     )
+    more = ", and as much again while it runs"
+    if not scenes.loaded.case.output.merge:
+        more = f", in parts that stay in {parts_of(target).name}"
     needs = [
         ("memory", f"about {size(estimate.memory)} on each rank"),
-        ("disk", f"{size(layout.bytes)} for {target}, and as much again while it runs"),
+        ("disk", f"{size(layout.bytes)} for {target}{more}"),
         ("time", seconds),
     ]
     runs = _runs(scenes, layout, estimate)
@@ -82,4 +86,6 @@ def summary_text(scenes: Swept, summary: dict[str, Any]) -> str:
     spans = [("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}")]
     spans.append(("rank 0", spent))
     result = [("file", summary["result"])]
+    if "parts" in summary:
+        result.append(("", f"which shows what stands in {summary['parts']}: keep both together"))
     return _text(scenes, {"Solved": solved, "Times": spans, "Result": result})

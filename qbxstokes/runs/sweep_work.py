@@ -45,7 +45,8 @@ class Todo:
     """What a run has to do: blocks by number, those of them that only mend failures.
 
     done: trajectories that are there already. failed: those that failed and why, by block. totals:
-    steps and right-hand sides so far.
+    steps and right-hand sides so far. merges: whether the result is to hold all rows, rather than
+    show the parts.
     """
 
     blocks: list[int]
@@ -53,6 +54,7 @@ class Todo:
     done: int = 0
     failed: dict[int, dict[int, str]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
+    merges: bool = True
 
     @property
     def numbers(self) -> list[int]:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.names import check_writable, free_name
+from qbxstokes.io.names import check_writable
+from qbxstokes.io.store import free_name
 
 
 def result_path(loaded: LoadedCase) -> Path:
