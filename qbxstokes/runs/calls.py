@@ -19,8 +19,8 @@ from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.results import Result, load
 from qbxstokes.io.store import free_name
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.command import compute_case
+from qbxstokes.runs.progress import Clock
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import SweepResult

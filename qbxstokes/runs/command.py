@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.parallel import guarded, missing_message, on_root, world
+from qbxstokes.runs.progress import Clock
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase

@@ -17,17 +17,15 @@ from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.runs.clock import Clock
-from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import chosen_instants
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
-from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.plan import plan_field
+from qbxstokes.runs.progress import Clock, compilation_told
 from qbxstokes.runs.rows import ALONE, RowTeam
-from qbxstokes.runs.target import result_path
+from qbxstokes.runs.target import finished_result, identity_of, result_path
 from qbxstokes.simulation.around import Instant
 from qbxstokes.simulation.assembly import Assembled
 

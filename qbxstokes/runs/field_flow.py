@@ -12,8 +12,8 @@ from qbxstokes.bie.field import FlowAround
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
-from qbxstokes.runs.clock import Clock
 from qbxstokes.runs.field_targets import in_space, targets_of
+from qbxstokes.runs.progress import Clock
 from qbxstokes.runs.rows import rows_by_all
 from qbxstokes.simulation.around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of

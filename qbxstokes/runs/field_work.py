@@ -21,12 +21,10 @@ from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.runs import handout
 from qbxstokes.runs.field_flow import FieldFlow
 from qbxstokes.runs.field_targets import Targets, surface_angles
 from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.handout import HandOut
-from qbxstokes.runs.parallel import agree, on_root
+from qbxstokes.runs.parallel import HandOut, agree, on_root
 from qbxstokes.simulation.around import Instant
 
 Array = NDArray[np.float64]
@@ -212,7 +210,7 @@ class FieldWork:
         counters = HandOut(self.comm)
         told: set[int] = set()
         try:
-            while (number := counters.next(handout.BLOCKS)) < len(tasks):
+            while (number := counters.next(HandOut.BLOCKS)) < len(tasks):
                 if number in done:
                     continue
                 found = Found()
@@ -223,7 +221,7 @@ class FieldWork:
         except QbxStokesError as error:
             failure = error
         if failure is not None:
-            counters.add(handout.BLOCKS, len(tasks))
+            counters.add(HandOut.BLOCKS, len(tasks))
         with self.clock.part("waiting"):
             counters.wait()
         counters.close()

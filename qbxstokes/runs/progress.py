@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from qbxstokes.petsc.session import stage
 from qbxstokes.runs.report import duration
 
 Style = Literal["auto", "bar", "line", "none"]
@@ -91,3 +95,60 @@ class Progress:
             parts.append(f"{failed} failed")
         print(f"qbxstokes: {', '.join(parts)}", file=sys.stderr, flush=True)
         self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])
+
+
+@contextmanager
+def compilation_told(comm: Any, speak: bool) -> Iterator[None]:
+    """Within it rank 0 says on standard error when a kernel has to be compiled, once.
+
+    Kernels that numba finds in its cache on disk are loaded without a word. It imports numba: for
+    runs that need it.
+    """
+    if comm.rank != 0 or not speak:
+        yield
+        return
+    from numba.core import event
+
+    class Teller(event.Listener):  # type: ignore[misc]
+        told = False
+
+        def on_start(self, _: Any) -> None:
+            if not self.told:
+                self.told = True
+                print(
+                    "qbxstokes: compiling kernels (once on a machine, some seconds) ...",
+                    file=sys.stderr,
+                    flush=True,
+                )
+
+        def on_end(self, _: Any) -> None:
+            """Nothing: what comes next tells of itself."""
+
+    teller = Teller()
+    event.register("numba:compile", teller)
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", teller)
+
+
+@dataclass
+class Clock:
+    """Wall times of the parts of a run, in seconds."""
+
+    parts: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to `name`, a stage of PETSc's log once PETSc has started."""
+        begin = time.perf_counter()
+        try:
+            with stage(name):
+                yield
+        finally:
+            self.parts[name] = self.parts.get(name, 0.0) + time.perf_counter() - begin
+
+    @property
+    def total(self) -> float:
+        """Sum of the parts."""
+        return sum(self.parts.values())

@@ -14,7 +14,7 @@ from typing import Any
 
 from qbxstokes import __version__
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.runs.clock import Clock
+from qbxstokes.runs.progress import Clock
 
 
 def start_petsc(

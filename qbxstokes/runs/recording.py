@@ -21,9 +21,8 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, TIME, of_event
-from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.plan import MotionPlan
-from qbxstokes.runs.target import result_path
+from qbxstokes.runs.target import finished_result, identity_of, result_path
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
 from qbxstokes.simulation.compare import orbit_drift
 from qbxstokes.simulation.watch import split_columns

@@ -17,17 +17,13 @@ from qbxstokes.io import sweep as store
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
-from qbxstokes.runs import handout
-from qbxstokes.runs.compilation import compilation_told
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
-from qbxstokes.runs.handout import HandOut
-from qbxstokes.runs.identity import finished_result, identity_of
 from qbxstokes.runs.interrupt import Interruption, interrupted
-from qbxstokes.runs.parallel import on_root
-from qbxstokes.runs.progress import Progress
+from qbxstokes.runs.parallel import HandOut, on_root
+from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
-from qbxstokes.runs.target import result_path
+from qbxstokes.runs.target import finished_result, identity_of, result_path
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -132,9 +128,9 @@ def _computed(
         raise interrupted(work.folder, 2) from None
     with clock.part("waiting"):
         counters.wait()
-    failed = counters.read(handout.FAILED)
+    failed = counters.read(HandOut.FAILED)
     if progress is not None:
-        progress.close(todo.done + counters.read(handout.DONE), failed)
+        progress.close(todo.done + counters.read(HandOut.DONE), failed)
     counters.wait()
     counters.close()
     about = {

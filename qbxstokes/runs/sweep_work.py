@@ -20,13 +20,12 @@ from qbxstokes.io.cache import SharedCache, open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.quantities import MOTION
-from qbxstokes.runs import block, handout
-from qbxstokes.runs.clock import Clock
+from qbxstokes.runs import block
 from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.handout import HandOut
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.measure import Measurer
-from qbxstokes.runs.progress import Progress
+from qbxstokes.runs.parallel import HandOut
+from qbxstokes.runs.progress import Clock, Progress
 from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.body import Body
@@ -118,7 +117,7 @@ def form_models(
     models = Models(SharedCache(open_cache(named, no_cache).folder), {})
     workshop = Workshop(cache=models.cache)
     told = time.monotonic()
-    while (place := counters.next(handout.MODELS)) < len(needed):
+    while (place := counters.next(HandOut.MODELS)) < len(needed):
         number = needed[place]
         if speak and time.monotonic() > told + _PATIENCE:
             told = time.monotonic()
@@ -154,9 +153,9 @@ class Team:
         if self.progress is None or not self.progress.due:
             self.counters.poke()
         else:
-            done = self.todo.done + self.counters.read(handout.DONE)
-            share = 1e-6 * self.counters.read(handout.WORK)
-            self.progress.update(done, self.counters.read(handout.FAILED), share)
+            done = self.todo.done + self.counters.read(HandOut.DONE)
+            share = 1e-6 * self.counters.read(HandOut.WORK)
+            self.progress.update(done, self.counters.read(HandOut.FAILED), share)
         return self.interruption.asked()
 
 
@@ -174,7 +173,7 @@ def work_on_blocks(
     computer: _Together | _Alone = _Alone(scenes, layout, team)
     if isinstance(scenes, Scenes) and not scenes.alone:
         computer = _Together(scenes, layout, models, team, gathering)
-    while (place := counters.next(handout.BLOCKS)) < len(order):
+    while (place := counters.next(HandOut.BLOCKS)) < len(order):
         number = order[place]
         with clock.part("blocks"):
             mended = team.todo.mend.get(number)
@@ -186,9 +185,9 @@ def work_on_blocks(
         with clock.part("output"):
             gathering.add(rows, note)
         gathering.work.drop_state(str(number))
-        counters.add(handout.FAILED, len(note["failed"]))
-        counters.add(handout.DONE, len(rows["table"]) - len(note["failed"]))
-        counters.add(handout.WORK, int(1e6 * cost[place] / total))
+        counters.add(HandOut.FAILED, len(note["failed"]))
+        counters.add(HandOut.DONE, len(rows["table"]) - len(note["failed"]))
+        counters.add(HandOut.WORK, int(1e6 * cost[place] / total))
         team.poke()
 
 

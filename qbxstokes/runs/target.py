@@ -1,13 +1,23 @@
-"""Where a result goes: asked of the file system by rank 0, before anything is computed."""
+"""Where a result goes, and what its numbers depend on: a run goes on only if none of it changed."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
+from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.names import check_writable
-from qbxstokes.io.store import free_name
+from qbxstokes.io.names import check_writable, numbered, parts_of
+from qbxstokes.io.results import told_by
+from qbxstokes.io.store import NUMBERED, first_difference, free_name, holds_work
+
+# Sections that no number depends on, for every task.
+_IRRELEVANT = ("title", "output", "compare", "checkpoint")
 
 
 def result_path(loaded: LoadedCase) -> Path:
@@ -27,3 +37,63 @@ def target_of(loaded: LoadedCase, overwrite: bool = False) -> Path:
     except CaseError as error:
         raise loaded.error("output.file", str(error)) from None
     return output if overwrite else free_name(output)
+
+
+def identity_of(
+    loaded: LoadedCase, options: list[str], irrelevant: tuple[str, ...] = (), **more: Any
+) -> dict[str, Any]:
+    """Case, PETSc options and the contents of the files that the case names, as plain data.
+
+    irrelevant: further sections that may change. more: what else the numbers depend on. Functions
+    of Python files count by the text of their file.
+    """
+    resolved = loaded.resolved()
+    kept = {k: v for k, v in resolved.items() if k not in (*_IRRELEVANT, *irrelevant)}
+    sections = {k: v for k, v in loaded.document.data.items() if k in kept}
+    if loaded.space is not None:
+        sections["sweep"] = loaded.document.data["sweep"]
+    files = dict(_files(sections, loaded.path.parent))
+    return dict(json.loads(json.dumps(plain({**kept, **more, "options": options, "files": files}))))
+
+
+def finished_result(loaded: LoadedCase, identity: Mapping[str, Any]) -> Path | None:
+    """The result that an earlier run of this case has left, where nothing is left to go on with.
+
+    None without any result, or with an unfinished run. Raises CaseError where there are results of
+    other cases alone.
+    """
+    names = list(islice(numbered(result_path(loaded)), NUMBERED))
+    if any(holds_work(parts_of(name)) for name in names):
+        return None
+    other = ""
+    for path in names:
+        text = told_by(path, "identity", complete=True)
+        if text is None:
+            continue
+        difference = first_difference(json.loads(text), identity)
+        if difference is None:
+            return path
+        other = other or f"{path}: is the result of a run with another {difference}"
+    if other:
+        raise CaseError(f"{other}, and no unfinished run is left to go on with; leave out --resume")
+    return None
+
+
+def _files(value: Any, folder: Path) -> Iterator[tuple[str, str]]:
+    """Files that nested data name, each with the hash of its contents."""
+    if isinstance(value, Mapping):
+        for entry in value.values():
+            yield from _files(entry, folder)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from _files(entry, folder)
+    elif isinstance(value, str):
+        stem, colon, _ = value.rpartition(":")
+        name = stem if colon and stem.endswith(".py") else value
+        try:
+            path = folder / name
+            if "." in name and path.is_file():
+                with path.open("rb") as stream:
+                    yield name, hashlib.file_digest(stream, "sha256").hexdigest()
+        except (OSError, ValueError):
+            return
