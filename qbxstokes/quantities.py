@@ -97,6 +97,8 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "matrix": ("body", (6, 6), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
     "four": ("", (4,), ("0", "1", "2", "3"), ()),
+    "numbers": ("", (4,), ("0", "1", "2", "1_held"), ("S_0", "S_1", "S_2", "S_1^{held}")),
+    "modes": ("", (3,), ("X", "Y", "Z"), ("X^M", "Y^M", "Z^M")),
 }
 
 TIME = Quantity("time", "t", "tau", "instants of the samples")
@@ -198,6 +200,9 @@ mobility | M | 1/(mu c), 1/(mu c^3)
 linear     | \lambda | 1   | Omega = w/2 + linear D3 x (E D3) in a linear flow
 quadratic  | q | c^2 | coefficients of the free velocity's second derivatives of the flow | five
 cubic | c | c^2 | coefficients of the free angular velocity's third derivatives of the flow | four
+stresslet_numbers | S | mu c^3 | S0, S1, S2 of the free body's stresslet, and S1 of the held one
+   | numbers
+kim_karrila | M | 1 | S0, held S1 and S2 over 20 pi/3 times the longer semi-axis cubed | modes
 free_velocity         | U      | c/tau      | velocity of the free body         | vector
 free_angular_velocity | \Omega | 1/tau      | angular velocity of the free body | vector
 held_force            | F      | mu c^2/tau | force on the body held fixed      | vector

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -34,7 +34,7 @@ from qbxstokes.bie.operators import (
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import POLYNOMIAL_NODES
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -62,7 +62,7 @@ _MOST_PANEL_NODES = 30
 _ROUNDING = 0.2
 _PERTURBATIONS = 8
 # Rounding of everything after the assembly, which no perturbation of it shows.
-_ROUNDING_FLOOR = 100.0 * float(np.finfo(float).eps)
+ROUNDING_FLOOR = 100.0 * float(np.finfo(float).eps)
 
 
 class RowFormer(Protocol):
@@ -152,7 +152,7 @@ def accurate_body(
     for _ in range(4):
         body = _form(spheroid, trial, completion, solver, form_rows)
         parts = estimate_error(body, completion, form_rows, degree)
-        refined = None if isinstance(trial, UniformScheme) else _refined(trial, parts)
+        refined = None if isinstance(trial, UniformScheme) else refined_scheme(trial, parts)
         if scheme is not None or parts.total <= tolerance or refined is None:
             break
         trial = refined
@@ -182,7 +182,7 @@ def plain_body(
     return AccurateBody(body.model, body.functional, scheme)
 
 
-def _refined(scheme: GradedScheme, parts: ErrorParts) -> GradedScheme | None:
+def refined_scheme(scheme: GradedScheme, parts: ErrorParts) -> GradedScheme | None:
     """The scheme with its weakest parameter raised, None if none of them is to blame."""
     worst = max(("quadrature", "truncation", "resolution"), key=lambda name: getattr(parts, name))
     if max(parts.rounding, parts.solver) >= getattr(parts, worst):
@@ -242,7 +242,7 @@ def estimate_error(
                 _form(spheroid, other, completion, DirectSolver, form_rows).model,
                 degree,
             )
-            for name, other in _coarser(scheme).items()
+            for name, other in coarser_schemes(scheme).items()
         }
         return ErrorParts(**changes, solver=solver, rounding=rounding)
     finer = replace(scheme, panel_order=scheme.panel_order + 2)
@@ -271,7 +271,7 @@ def estimate_error(
     )
 
 
-def _coarser(scheme: UniformScheme) -> dict[str, UniformScheme]:
+def coarser_schemes(scheme: UniformScheme) -> dict[str, UniformScheme]:
     """Schemes with one parameter lowered, by the part of the error that its change shows.
 
     Lower ones cost less than higher ones would, and overestimate; the lowest are raised instead.
@@ -323,16 +323,21 @@ def adjoint_tail(functional: ModalFunctional) -> float:
 
 def _rounding(body: _Body, completion: Completion | None, degree: int) -> float:
     """Change of the model when every entry of the rows moves by a rounding error of its sum."""
-    functional, scheme = body.functional, body.scheme
-    grid, rng = functional.grid, np.random.default_rng(0)
-    rows = independent_rows(scheme.n_theta)
-    size = _ROUNDING * np.finfo(float).eps * 4.0 * math.pi / math.sqrt(scheme.n_theta)
-    spread = []
-    for _ in range(_PERTURBATIONS):
-        double = body.rows[0] + size * rng.standard_normal(body.rows[0].shape)
-        if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
-            impose_rigid_motions(grid, rows, double)
-        operators = surface_operators(grid.spheroid, scheme, 3, completion, (double, body.rows[1]))
+    grid, spread = body.functional.grid, []
+    for double in perturbed_rows(grid, body.scheme, body.rows[0]):
+        rows = double, body.rows[1]
+        operators = surface_operators(grid.spheroid, body.scheme, 3, completion, rows)
         perturbed = form_body_model(operators)
         spread.append(model_distance(body.model, perturbed, degree))
-    return float(np.max(spread)) + _ROUNDING_FLOOR
+    return float(np.max(spread)) + ROUNDING_FLOOR
+
+
+def perturbed_rows(grid: SurfaceGrid, scheme: Scheme, rows: Array) -> Iterator[Array]:
+    """Rows of the double layer whose entries each moved by a rounding error of its sum."""
+    rng = np.random.default_rng(0)
+    size = _ROUNDING * np.finfo(float).eps * 4.0 * math.pi / math.sqrt(scheme.n_theta)
+    for _ in range(_PERTURBATIONS):
+        double = rows + size * rng.standard_normal(rows.shape)
+        if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
+            impose_rigid_motions(grid, independent_rows(scheme.n_theta), double)
+        yield double

@@ -12,6 +12,7 @@ from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.law import Law, form_law
+from qbxstokes.simulation.stresses import form_stresslet
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -36,7 +37,9 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
     in_flow = loaded.case.flow is not None
     with clock.part("set-up"), pointed(loaded):
         formed = form_law(scene, in_flow, workshop)
-    law, compared = Law(scene, formed, in_flow), Comparison()
+    with clock.part("stresslet"):
+        stresslet = form_stresslet(scene.body, workshop)
+    law, compared = Law(scene, formed, in_flow, stresslet), Comparison()
     with clock.part("law"):
         arrays = law.arrays
     if loaded.case.compare.reference != "none":
@@ -51,6 +54,7 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
         "nodes": int(formed.facts["n_theta"]) * int(formed.facts["n_phi"]),
         "setup_time": clock.parts["set-up"],
         "resistance": vars(formed.model.resistance),
+        "stresslet_error_estimate": stresslet.error_estimate,
         "errors": compared.errors,
         "references": compared.references,
         "largest_error": compared.largest,

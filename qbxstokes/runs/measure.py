@@ -105,7 +105,7 @@ class Measurer:
             formed = watch.timed("setup", partial(form_law, scene, in_flow, Workshop()))
             if self._poke():
                 raise Stopped
-        law = Law(scene, formed, in_flow)
+        law = Law(scene, formed, in_flow, scene.body.stress)
         arrays = law.arrays
         resistance = vars(formed.model.resistance)
         found = {f"resistance_{name}": value for name, value in resistance.items()}

@@ -158,6 +158,7 @@ def plan_body(loaded: LoadedCase) -> Plan:
     degree = loaded.flow.degree if in_flow else 3
     known = "any flow" if degree is None or degree > 3 else f"flows of degree <= {max(1, degree)}"
     needs = [f"resistance, and the law of free motion in {known}"]
+    needs.append("the stresslet in any flow: three adjoint solves, in the modes 0, 1 and 2")
     if in_flow:
         needs.append("velocities of the free body at its place, force and torque on the held one")
     if scene.kind == "every_step":

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,9 @@ from qbxstokes.simulation.hydrodynamics import (
 )
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, places
+
+if TYPE_CHECKING:
+    from qbxstokes.bie.stresslet import Stresslet
 
 Array = NDArray[np.float64]
 
@@ -103,6 +106,7 @@ class Body:
             self.settings = _settings({"tolerance": tolerance, **(hydrodynamics or {})})
             self.strict = True
         self._formed: dict[tuple[int, Completion | None], tuple[AccurateBody, list[Any]]] = {}
+        self._stress: dict[str, Stresslet] = {}
 
     def __repr__(self) -> str:
         given = ""
@@ -133,7 +137,7 @@ class Body:
             inertia=inertia,
             hydrodynamics=self.settings,
         )
-        other.strict, other._formed = self.strict, self._formed
+        other.strict, other._formed, other._stress = self.strict, self._formed, self._stress
         return other
 
     # -- hydrodynamics ------------------------------------------------------------------------
@@ -190,6 +194,15 @@ class Body:
     def model(self) -> BodyModel:
         """The numbers that describe the body in every Stokes flow."""
         return self.hydrodynamics.model
+
+    @property
+    def stress(self) -> Stresslet:
+        """S0, S1 and S2 (`numbers`) with their error estimate, and the functional behind them."""
+        if "stresslet" not in self._stress:
+            from qbxstokes.simulation.stresses import form_stresslet
+
+            self._stress["stresslet"] = form_stresslet(self)
+        return self._stress["stresslet"]
 
     @property
     def error_estimate(self) -> float:
@@ -267,6 +280,34 @@ class Body:
         assembled = scene.assemble(t=t)
         force, torque = assembled.equations.force_torque(t, assembled.initial)
         return scene.shaped(force), scene.shaped(torque)
+
+    def stresslet(
+        self,
+        flow: Flow,
+        position: ArrayLike = ORIGIN,
+        orientation: ArrayLike = UPRIGHT,
+        *,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        force: ArrayLike | None = None,
+        torque: ArrayLike | None = None,
+        t: float = 0.0,
+    ) -> Array:
+        """Stresslet S (..., 3, 3), space frame, units of mu c^3/tau, of the body in a flow.
+
+        Free of force and torque where nothing is given; with a velocity or an angular velocity of
+        a given motion (the other one is zero); with force and torque (3,) from outside as in
+        `free_motion`. S = oint sym-traceless(x (sigma.n)) dS, traction on the body.
+
+        >>> import numpy as np, qbxstokes as qs
+        >>> strain = qs.flow("polynomial", gradient=[[1, 0, 0], [0, -1, 0], [0, 0, 0]])
+        >>> np.round(np.diag(qs.Body(1.0).stresslet(strain)) * 3 / (20 * np.pi), 9) + 0.0
+        array([ 1., -1.,  0.])
+        """
+        from qbxstokes.simulation.stresses import body_stresslet
+
+        motion, loads = (velocity, angular_velocity), (force, torque)
+        return body_stresslet(self, flow, position, orientation, motion, loads, t)
 
     def integrate(
         self,

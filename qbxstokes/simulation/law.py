@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.exact import true_error
+from qbxstokes.bie.stresslet import Stresslet
 from qbxstokes.geometry import rotation
-from qbxstokes.reference import faxen
+from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import resistance_matrix
 from qbxstokes.simulation.compare import Comparison
@@ -37,6 +38,7 @@ class Law:
     scene: Simulation
     formed: Hydrodynamic
     in_flow: bool
+    stresslet: Stresslet
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -49,10 +51,24 @@ class Law:
             "linear": np.array(model.faxen.linear),
             "quadratic": model.faxen.quadratic,
             "cubic": model.faxen.cubic,
+            "stresslet_numbers": self._numbers,
+            "kim_karrila": self._numbers[[0, 3, 2]] / self._unit,
         }
         if self.in_flow:
             found |= dict(zip(_IN_FLOW, (*self._moving(None), *self._moving(ORIGIN)), strict=True))
         return found
+
+    @property
+    def _numbers(self) -> Array:
+        """S0, S1, S2 and the held S1."""
+        model, (axial, oblique, across) = self.formed.model, self.stresslet.numbers
+        held = oblique + 0.5 * model.resistance.rotation_transverse * model.faxen.linear**2
+        return np.array([axial, oblique, across, held])
+
+    @property
+    def _unit(self) -> float:
+        """Stresslet of the sphere around the body in a unit strain."""
+        return 20.0 * np.pi / 3.0 * max(1.0, self.scene.body.aspect_ratio) ** 3
 
     def _moving(self, velocity: Any) -> tuple[Array, Array]:
         """Velocities (3,) of the free body (velocity None), or force and torque on the held one."""
@@ -73,11 +89,14 @@ class Law:
         return np.array(one[0]), np.array(other[0])
 
     def errors(self, arrays: dict[str, Array]) -> Comparison:
-        """Errors against the laws of Lamb, Jeffery and Faxen."""
+        """Errors against the laws of Lamb, Jeffery and Faxen, and of Kim and Karrila."""
         flow, k = self.scene.flow, self.scene.body.aspect_ratio
         degree = 3 if not self.in_flow or flow.degree is None else min(3, max(1, flow.degree))
         found = Comparison()
         found.add("law", "Lamb, Jeffery and Faxen", true_error(self.formed.model, degree))
+        exact_numbers = np.array([*stress.stresslet_numbers(k), stress.held_number(k)])
+        worst = float(np.max(np.abs(self._numbers / exact_numbers - 1.0)))
+        found.add("stresslet", "Jeffery, Kim and Karrila", worst)
         if self.in_flow:
             nodes, _ = self.formed.facts.get("flow_nodes", (0, 0))
             place = rotation.matrix(self.scene.quaternion[0]), self.scene.position[0]
