@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import flow as flow
     from qbxstokes.simulation.from_case import from_case as from_case
     from qbxstokes.simulation.result import Motion as Motion
+    from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
 
 __version__ = "0.1.0"
@@ -43,6 +44,7 @@ _PUBLIC = {
     "from_case": "qbxstokes.simulation.from_case",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
+    "rheology": "qbxstokes.simulation.rheology",
     "run": "qbxstokes.runs.calls",
     "sweep": "qbxstokes.runs.calls",
 }

@@ -25,7 +25,7 @@ LEVELS = (
     {"qbx"},
     {"bie"},
     {"motion"},
-    {"petsc", "io", "plots", "case"},
+    {"petsc", "io", "plots", "case", "rheology"},
     {"simulation"},
     {"runs"},
     {"cli"},

@@ -1,0 +1,1 @@
+"""Rheology of dilute suspensions: distributions of orientations, and the stress they give."""

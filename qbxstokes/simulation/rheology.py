@@ -1,0 +1,259 @@
+"""The rheology of dilute suspensions of one body: material functions of its orientations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.errors import SceneError
+from qbxstokes.flows import Flow
+from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.rheology.distribution import Distribution
+from qbxstokes.rheology.fokker_planck import (
+    Evolution,
+    Transport,
+    converged,
+    first_degree,
+    isotropic,
+)
+from qbxstokes.rheology.particle import LinearFlow, Particle
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.stresses import form_stresslet
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
+
+Array = NDArray[np.float64]
+Protocol = Literal["steady", "startup", "cessation", "oscillation"]
+PROTOCOLS = ("steady", "startup", "cessation", "oscillation")
+
+# Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.
+SAMPLES, _STRAIN = 201, 20.0
+
+
+@dataclass(frozen=True)
+class Rheology:
+    """Stress of a dilute suspension, per volume fraction and mu times the flow's rate.
+
+    Arrays have the axes (peclet_number, time, ...), those that were asked for. The rate is that of
+    the flow, sqrt(2 E:E), in an oscillation its amplitude. particle_stress (..., 3, 3) is
+    hydrodynamic_stress + brownian_stress; intrinsic_viscosity = Sigma:E/(2 E:E), Sigma_12 of a
+    shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over rate, NaN in other flows;
+    order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a steady state. distribution:
+    one or a list of them; the last one of a transient. error_estimate: relative, of the stress.
+    """
+
+    peclet_number: Array
+    time: Array | None
+    intrinsic_viscosity: Array
+    first_normal_stress_difference: Array
+    second_normal_stress_difference: Array
+    particle_stress: Array
+    hydrodynamic_stress: Array
+    brownian_stress: Array
+    order_tensor: Array
+    error_estimate: Array
+    distribution: Any = field(repr=False)
+    summary: dict[str, Any] = field(repr=False)
+
+    def arrays(self) -> dict[str, Array]:
+        """The quantities of `quantities.RHEOLOGY` by name."""
+        skipped = ("time", "distribution", "summary")
+        return {name: value for name, value in vars(self).items() if name not in skipped}
+
+
+def particle_of(body: Body, workshop: Workshop | None = None) -> tuple[Particle, float]:
+    """What the rheology needs of a body, and the relative error that it has."""
+    formed, _ = body.formed(1, "surface", workshop)
+    model = formed.model
+    stress = form_stresslet(body, workshop) if workshop else body.stress
+    particle = Particle(
+        stress.numbers, model.faxen.linear, model.resistance.rotation_transverse, body.shape.volume
+    )
+    return particle, model.error_estimate + stress.error_estimate
+
+
+def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
+    """The homogeneous flow that a flow is; SceneError where it is none or strains nothing."""
+    if flow.degree is None or flow.degree > 1:
+        raise SceneError("flow", "is not homogeneous", "a flow of degree 1, such as shear")
+    gradient = np.asarray(flow.gradient(np.asarray(position, dtype=np.float64)))
+    strain = 0.5 * (gradient + gradient.T)
+    rate = float(np.sqrt(2.0 * np.sum(strain * strain)))
+    if rate <= 1e-14 * float(np.linalg.norm(gradient)) or rate == 0.0:
+        raise SceneError("flow", "strains nothing", "a flow with a strain rate, such as shear")
+    return LinearFlow(gradient, rate, ShearFrame.of(gradient).shear)
+
+
+def rheology(
+    body: Body,
+    flow: Flow,
+    peclet_number: ArrayLike = 10.0,
+    *,
+    protocol: Protocol = "steady",
+    times: ArrayLike | None = None,
+    amplitude: float | None = None,
+    frequency: float | None = None,
+    tolerance: float = 1e-8,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    workshop: Workshop | None = None,
+) -> Rheology:
+    """Stress of a dilute suspension of a body in a homogeneous flow, with rotary Brownian motion.
+
+    peclet_number: the flow's rate sqrt(2 E:E) over the rotary diffusivity, a number or (n,).
+    protocol: "steady"; "startup" of the flow from rest, with isotropic orientations; "cessation" of
+    the steady flow; "oscillation" with the strain amplitude sin(w t), in its periodic state: give
+    the strain amplitude or w, the other one is rate/that. times: in units of 1/rate. tolerance: of
+    the stress, relative.
+
+    >>> import numpy as np, qbxstokes as qs
+    >>> found = qs.rheology(qs.Body(0.2), qs.flow("shear"), peclet_number=[1e-4, 1.0, 100.0])
+    >>> np.round(found.intrinsic_viscosity, 6)
+    array([5.806206, 5.748197, 3.108525])
+    """
+    if protocol not in PROTOCOLS:
+        raise SceneError("protocol", f"is {protocol!r}", ", ".join(PROTOCOLS))
+    if not 1e-12 <= tolerance <= 0.1:
+        raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
+    numbers = np.asarray(peclet_number, dtype=np.float64)
+    if numbers.ndim > 1 or not np.all(numbers > 0.0) or not np.all(np.isfinite(numbers)):
+        raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
+    homogeneous = linear_flow(flow, position)
+    particle, error = particle_of(body, workshop)
+    transport = Transport(homogeneous, particle.linear)
+    cycle = _frequency(protocol, amplitude, frequency, homogeneous.rate)
+    instants = _instants(protocol, times, cycle)
+    found = [
+        _one(transport, particle, float(peclet), protocol, instants, cycle, tolerance)
+        for peclet in np.atleast_1d(numbers)
+    ]
+    stacked = {
+        name: np.stack([one[name] for one in found]).reshape(
+            numbers.shape + np.shape(found[0][name])
+        )
+        for name in found[0]
+        if name not in ("distribution", "degree")
+    }
+    stacked["error_estimate"] = stacked["error_estimate"] + error
+    distributions = [one["distribution"] for one in found]
+    stress = stacked["hydrodynamic_stress"] + stacked["brownian_stress"]
+    return Rheology(
+        peclet_number=numbers,
+        time=instants,
+        **homogeneous.material_functions(stress),
+        particle_stress=stress,
+        **stacked,
+        distribution=distributions if numbers.ndim else distributions[0],
+        summary={
+            "protocol": protocol,
+            "degree": [one["degree"] for one in found],
+            "rate": homogeneous.rate,
+            "viscosity_at_rest": particle.viscosity_at_rest,
+            "viscosity_of_isotropic": particle.viscosity_of_isotropic,
+            "frequency": cycle,
+        },
+    )
+
+
+def _frequency(
+    protocol: str, amplitude: float | None, frequency: float | None, rate: float
+) -> float | None:
+    """Angular frequency over the rate, of an oscillation."""
+    given = {"amplitude": amplitude, "frequency": frequency}
+    named = [name for name, value in given.items() if value is not None]
+    if protocol != "oscillation":
+        if named:
+            raise SceneError(named[0], f"has no meaning for {protocol}", "leave it out")
+        return None
+    if len(named) != 1:
+        wrong = "is missing" if not named else "is given besides frequency"
+        raise SceneError("amplitude", wrong, "amplitude or frequency: their product is the rate")
+    value = given[named[0]]
+    if value is None or not (value > 0.0 and np.isfinite(value)):
+        raise SceneError(named[0], f"is {value}", "more than 0")
+    return 1.0 / value if amplitude is not None else value / rate
+
+
+def _instants(protocol: str, times: ArrayLike | None, cycle: float | None) -> Array | None:
+    if protocol == "steady":
+        if times is not None:
+            raise SceneError("times", "have no meaning for steady", "leave them out")
+        return None
+    if times is None:
+        end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
+        return np.linspace(0.0, end, SAMPLES)
+    instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    if instants.ndim != 1 or instants[0] < 0.0 or np.any(np.diff(instants) <= 0.0):
+        raise SceneError("times", f"have shape {instants.shape}", "increasing instants from 0 on")
+    return instants
+
+
+def _one(
+    transport: Transport,
+    particle: Particle,
+    peclet: float,
+    protocol: str,
+    instants: Array | None,
+    cycle: float | None,
+    tolerance: float,
+) -> dict[str, Any]:
+    """Stresses, moments and distribution at one Peclet number."""
+    diffusivity, strain = 1.0 / peclet, transport.flow.strain
+
+    def described(
+        second: Array, fourth: Array, strength: ArrayLike, distribution: Distribution, degree: int
+    ) -> tuple[dict[str, Any], Array]:
+        rates = np.asarray(strength)[..., None, None] * strain
+        flowing = particle.hydrodynamic_stress(second, fourth, rates)
+        brownian = particle.brownian_stress(second, diffusivity)
+        parts = {
+            "hydrodynamic_stress": flowing,
+            "brownian_stress": brownian,
+            "order_tensor": second,
+            "distribution": distribution,
+            "degree": degree,
+        }
+        return parts, flowing + brownian
+
+    def steady(degree: int) -> tuple[dict[str, Any], Array]:
+        density = transport.steady(diffusivity, degree)
+        return described(*density.moments(), 1.0, density, degree)
+
+    def transient(degree: int) -> tuple[dict[str, Any], Array]:
+        assert instants is not None
+        evolution = Evolution(transport, diffusivity, degree, tolerance)
+        rate: Callable[[float], float] = {
+            "startup": lambda t: 1.0,
+            "cessation": lambda t: 0.0,
+            "oscillation": lambda t: float(np.cos((cycle or 0.0) * t)),
+        }[protocol]
+        basis = evolution.operators[0]
+        if protocol == "startup":
+            start = isotropic(basis)
+        elif protocol == "cessation":
+            start = transport.steady(diffusivity, degree).coefficients
+        else:
+            start = evolution.periodic(2.0 * np.pi / (cycle or 1.0), rate)
+        if protocol == "cessation":  # without flow every degree decays by itself
+            decay = np.exp(diffusivity * np.outer(evolution.operators[2], instants))
+            states = start[:, None] * decay
+        else:
+            states = evolution.run(start, instants, rate)
+        axes = transport.frame[0]
+        second, fourth = basis.moments(states)
+        second = axes.T @ second @ axes
+        fourth = np.einsum(
+            "ai,bj,ck,dl,tabcd->tijkl", axes, axes, axes, axes, fourth, optimize=True
+        )
+        last = Distribution(basis, axes, states[:, -1])
+        strength = [rate(t) for t in instants.tolist()]
+        return described(second, fourth, strength, last, degree)
+
+    start = first_degree(peclet, particle.linear)
+    compute = steady if protocol == "steady" else transient
+    parts, _, change = converged(compute, start, tolerance)
+    return {**parts, "error_estimate": np.array(change)}
