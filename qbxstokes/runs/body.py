@@ -45,6 +45,7 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
     if loaded.case.compare.reference != "none":
         with clock.part("comparison"):
             compared = law.errors(arrays)
+            compared.add("stresslet", "Jeffery, Kim and Karrila", law.stresslet_error())
     summary: dict[str, Any] = {
         "case": str(loaded.path),
         "title": loaded.case.title,
