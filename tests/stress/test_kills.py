@@ -1,0 +1,208 @@
+"""Runs that are killed at random instants, on one rank and two, and go on: the same bits.
+
+    KILLS=50 SEED=3 pytest -m "" tests/stress/test_kills.py
+
+KILLS are shared among the kinds of runs (default: 2 of each). A kill is SIGKILL to one rank or to
+all, at any instant from the start of the program on, that of the merge and of the start included.
+A run that ends before it is killed is compared and begun again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from conftest import ENVIRONMENT, See
+
+from qbxstokes.io.names import parts_of
+
+pytestmark = [pytest.mark.slow, pytest.mark.mpi]
+SEED = int(os.environ.get("SEED", "1"))
+OFTEN = {"every": "1e-6 s"}
+SHEAR: dict[str, Any] = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}}
+BODY = SHEAR | {"hydrodynamics": {"tolerance": 1e-6}, "compare": {"reference": "none"}}
+START = {"start": {"orientation": {"axis": [1, 1, 1]}}}
+FIELD = {
+    "plane": {"shape": [150, 150], "extent": [-2, 2, -2, 2]},
+    "surface": {"shape": [5, 8]},
+    "streamlines": {"number": 4, "samples": 41},
+    "vtk": True,
+    "check": 2,
+}
+MOTION = {
+    **START,
+    "body": {"aspect_ratio": 0.5, "stokes_number": 2},
+    "time": {"periods": 60, "samples": 601},
+    "petsc": {"ts_type": "rk"},
+}
+SWEEP = {
+    "time": {"end": 600.0, "samples": 61, "tolerance": 1e-8},
+    "checkpoint": OFTEN,
+    "sweep": {
+        "block": 8,
+        "axes": [
+            {"start.orientation": {"random": "rotations", "count": 16, "seed": 3}},
+            {"body.stokes_number": [0, 1, 5, 20]},
+        ],
+    },
+}
+KINDS: dict[str, tuple[int, dict[str, Any]]] = {
+    "motion": (1, BODY | MOTION | {"checkpoint": {"every": "500 steps"}}),
+    "motion by the clock": (1, BODY | MOTION | {"checkpoint": OFTEN}),
+    "motion with a field": (
+        2,
+        {**BODY, **START, "time": {"end": 8, "samples": 9}, "field": FIELD | {"every": 1}}
+        | {"checkpoint": OFTEN},
+    ),
+    "sweep": (2, BODY | SWEEP),
+    "sweep shown": (2, BODY | SWEEP | {"output": {"merge": False}}),
+    "field": (1, {"task": "field", **SHEAR, "field": FIELD, "checkpoint": OFTEN}),
+    "field on two": (2, {"task": "field", **SHEAR, "field": FIELD, "checkpoint": OFTEN}),
+}
+KILLS = -(-int(os.environ.get("KILLS", 2 * len(KINDS))) // len(KINDS))
+
+
+def start(folder: Path, ranks: int, *words: str) -> subprocess.Popen[str]:
+    """The program, at its work or on its way there."""
+    launcher = [shutil.which("mpirun") or "mpiexec", "-n", str(ranks)] if ranks > 1 else []
+    return subprocess.Popen(
+        [*launcher, sys.executable, "-m", "qbxstokes", "case.yaml", "--quiet", *words],
+        cwd=folder,
+        env=os.environ | ENVIRONMENT,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+def members(session: int) -> Iterator[int]:
+    """Processes of a session that run Python."""
+    for entry in Path("/proc").iterdir():
+        try:
+            if not entry.name.isdigit() or os.getsid(int(entry.name)) != session:
+                continue
+            if b"python" in (entry / "cmdline").read_bytes().split(b"\0")[0]:
+                yield int(entry.name)
+        except OSError:
+            continue
+
+
+def kill(job: subprocess.Popen[str], rng: random.Random) -> None:
+    """SIGKILL to all of it, or to one rank, whose launcher ends the others."""
+    ranks = list(members(job.pid))
+    if len(ranks) > 1 and rng.random() < 0.5:
+        os.kill(rng.choice(ranks), signal.SIGKILL)
+    else:
+        os.killpg(job.pid, signal.SIGKILL)
+    try:
+        job.communicate(timeout=30)
+    finally:
+        for rank in members(job.pid):
+            os.kill(rank, signal.SIGKILL)
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Every dataset as bytes, but for what tells of the run itself."""
+    found: dict[str, bytes] = {}
+
+    def take(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.split("/")[0] in (
+            "provenance",
+            "summary",
+            "parts",
+        ):
+            return
+        data = item[()]
+        for column in data.dtype.names or ():
+            if column != "wall_time":
+                found[f"{name}.{column}"] = data[column].tobytes()
+        if data.dtype.names is None:
+            found[name] = np.asarray(data).tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(take)
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_killed_runs_give_the_same_bits(kind: str, tmp_path: Path) -> None:
+    ranks, case = KINDS[kind]
+    rng = random.Random(f"{kind} {SEED}")
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    begin = time.monotonic()
+    job = start(tmp_path, ranks, "--set", "output.file=whole.h5")
+    assert job.wait() == 0, job.communicate()[1]
+    span = time.monotonic() - begin
+    whole = contents(tmp_path / "whole.h5")
+    files = {path.name for path in tmp_path.iterdir()}
+    kills = ended = 0
+    while kills < KILLS or not ended:
+        last = kills >= KILLS
+        job = start(tmp_path, ranks, "--resume")
+        try:
+            _, told = job.communicate(timeout=None if last else rng.uniform(0.0, 1.1 * span))
+        except subprocess.TimeoutExpired:
+            kill(job, rng)
+            kills += 1
+            continue
+        assert job.returncode == 0, told
+        ended += 1
+        assert contents(tmp_path / "case.h5") == whole
+        shown = {"case.h5.parts", "whole.h5.parts"} if kind == "sweep shown" else set()
+        left = {path.name for path in tmp_path.iterdir()} - files - shown
+        assert left <= {"case.h5", "case.vtkhdf"}, left
+        (tmp_path / "case.h5").unlink()
+        shutil.rmtree(parts_of(tmp_path / "case.h5"), ignore_errors=True)
+    print(f"{kind}: {kills} kills, {ended} times ended, {span:.1f} s undisturbed")
+
+
+@pytest.mark.parametrize("kind", ["motion by the clock", "sweep", "field on two"])
+@pytest.mark.parametrize("every", [1.0, 3.0])
+def test_what_is_lost_is_what_was_asked_for(
+    kind: str, every: float, tmp_path: Path, see: See
+) -> None:
+    """The age of what is safe, seen every 20 ms from the first part on: never much over `every`."""
+    ranks, case = KINDS[kind]
+    case = case | {"checkpoint": {"every": f"{every} s"}}
+    if kind == "field on two":
+        case |= {"field": FIELD | {"plane": {"shape": [800, 800]}, "vtk": False}}
+    else:
+        case |= {"time": case["time"] | {"samples": 1001}}
+        case["time"].pop("periods", None)
+        case["time"]["end"] = 20_000.0 if ranks == 1 else 60_000.0
+    if ranks == 1:
+        case |= {"petsc": {"ts_type": "rk", "ts_rk_type": "5dp"}}
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    job = start(tmp_path, ranks)
+    folder, oldest, until = parts_of(tmp_path / "case.h5"), 0.0, None
+    while job.poll() is None and (until is None or time.time() < until):
+        time.sleep(0.02)
+        safe: dict[str, float] = {}  # of every rank the latest
+        for path in [*folder.glob("[!.]*-*.h5")]:
+            rank = path.name.split("-")[2] if path.name.count("-") > 2 else path.name
+            with_time = safe.get(rank, 0.0)
+            try:
+                safe[rank] = max(with_time, path.stat().st_mtime)
+            except FileNotFoundError:
+                continue
+        if safe and until is None:
+            until = time.time() + 6 * every
+        if safe:
+            oldest = max(oldest, time.time() - max(safe.values()))
+    ran = job.poll() is None
+    kill(job, random.Random(0))
+    assert ran, "it ended too early to tell"
+    see(oldest, 1.5 * every + 0.5, f"{kind}, every {every} s")
