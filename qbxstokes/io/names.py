@@ -50,9 +50,9 @@ def check_writable(path: Path, overwrite: bool = False) -> None:
         )
 
 
-def temporary_name(path: Path) -> Path:
-    """The name under which a result is written until it is complete."""
-    return path.with_name(f".{path.name}.{os.getpid()}.part")
+def temporary_name(path: Path, folder: Path | None = None) -> Path:
+    """The name under which a result is written until it is complete, beside it or in a folder."""
+    return (folder or path.parent) / f".{path.name}.{os.getpid()}.part"
 
 
 def _is_result(path: Path) -> bool:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.io.writer import whole_hdf5
+
 if TYPE_CHECKING:
     import h5py
 
@@ -25,14 +27,17 @@ _VERTEX, _QUAD, _HEXAHEDRON = 1, 9, 12
 _ORDER_OF_STRESS = (0, 1, 2, 3, 5, 4)  # ours: 11 22 33 12 13 23; ParaView's: 11 22 33 12 23 13
 
 
-def export(result: h5py.File, path: Path) -> Path:
-    """Write the group `field` of an open result to `path`, step by step; returns the path."""
+def export(result: h5py.File, path: Path, folder: Path | None = None) -> Path:
+    """Write the group `field` of an open result to `path`, step by step; returns the path.
+
+    folder: where it is until it is whole; unset: beside `path`. Raises OutputError.
+    """
     import h5py
 
     group = result["field"]
     times = group["time"][()]
     # ParaView reads files that older versions of HDF5 can read.
-    with h5py.File(path, "w", libver=("earliest", "v110")) as file:
+    with whole_hdf5(path, folder, libver=("earliest", "v110")) as file:
         root = _typed(file, "VTKHDF", "PartitionedDataSetCollection")
         assembly = root.create_group("Assembly", track_order=True)
         writers: list[tuple[str, h5py.Group, _Part]] = []

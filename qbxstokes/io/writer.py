@@ -1,7 +1,8 @@
 """Result files in the making: written atomically, sample after sample.
 
-A file is written under a temporary name beside its target and moved there when it is complete:
-a file that carries the final name is a whole one.
+A file is written under a temporary name and moved to its target when it is complete: a file that
+carries the final name is a whole one. In the working folder (`io.store`) nothing is left of a file
+whose process was killed.
 """
 
 from __future__ import annotations
@@ -62,6 +63,32 @@ class _PatientFile(io.FileIO):
             return size or 0
 
 
+@contextmanager
+def whole_hdf5(path: Path, folder: Path | None = None, **options: Any) -> Iterator[h5py.File]:
+    """An HDF5 file to be filled, which then takes the place of what was at `path`.
+
+    Raises OutputError where the disk does not take it; nothing is left of it then.
+    """
+    import h5py
+
+    temporary = temporary_name(path, folder)
+    failure: OSError | None = None
+    try:
+        with _PatientFile(temporary, "w+") as stream:
+            with h5py.File(stream, "w", **options) as file:
+                yield file
+            failure = stream.failure
+            os.fsync(stream.fileno())
+        if failure is None:
+            os.replace(temporary, path)
+    except OSError as error:
+        failure = failure or error
+    finally:
+        temporary.unlink(missing_ok=True)
+    if failure is not None:
+        raise OutputError(f"{path}: cannot be written ({failure.strerror or failure})") from None
+
+
 class ResultWriter:
     """A result file in the making; `finish` gives it its name, leaving without it removes it.
 
@@ -76,14 +103,15 @@ class ResultWriter:
         task: str,
         provenance: Mapping[str, Any] | None = None,
         overwrite: bool = False,
+        folder: Path | None = None,
     ) -> None:
-        """Create the temporary file beside `path`; raises CaseError where that is impossible."""
+        """Create the temporary file (in a folder, or beside `path`); raises CaseError."""
         import h5py
 
         check_writable(path, overwrite)
         self.path = path
         self.overwrite = overwrite
-        self.temporary = temporary_name(path)
+        self.temporary = temporary_name(path, folder)
         try:
             self.stream = _PatientFile(self.temporary, "w+")
         except OSError as error:

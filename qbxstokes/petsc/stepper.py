@@ -303,6 +303,7 @@ class Run:
             method=self._system.method,
             local_tolerance=self._system.local_tolerance,
             reachable=self._system.reachable,
+            expected=self._system.expected,
             steps=ts.getStepNumber(),
             rejections=old.rejections + ts.getStepRejections(),
             evaluations=self._system.evaluations,

@@ -115,7 +115,8 @@ class System:
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self._start.local_tolerance or self._guide.tolerance(kind)
         self.reachable = self._start.reachable or self._guide.reachable(kind)
-        self._expected = self._guide.evaluations(kind) + STAGES * self._samples
+        forecast = self._guide.evaluations(kind) + STAGES * self._samples
+        self.expected = self._start.expected or forecast
         self.rate = self._rate_callback()
         if self._by_lane:
             self._set_implicit(ts, self.rate, vector)
@@ -132,7 +133,7 @@ class System:
     def _native_rate(self) -> Any:
         """The compiled rate as a C function, one for all integrators of the run, or None."""
         if self.native is None:
-            block = self._moving.block_constants(self._expected)
+            block = self._moving.block_constants(self.expected)
             if block is not None:
                 from qbxstokes.petsc.native import native_rate
 
@@ -142,7 +143,7 @@ class System:
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
         counter, equations = self.counter, self.equations
 
-        if equations.layout.columns == 1 and not equations.compiled(self._expected):
+        if equations.layout.columns == 1 and not equations.compiled(self.expected):
             single = equations.rate_of_rows
 
             def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
@@ -164,7 +165,7 @@ class System:
 
             return callback
 
-        function = self._moving.rate_function(self._expected)
+        function = self._moving.rate_function(self.expected)
         out = np.empty((self.layout.n_state, self.layout.columns))
 
         def callback_block(ts: Any, t: float, state: Any, rate: Any) -> None:
@@ -235,7 +236,7 @@ class System:
 
     def _jacobian_callback(self) -> Callable[[float, Any, Any], None]:
         counter, equations = self.counter, self._moving
-        function = equations.jacobian_function(self._expected)
+        function = equations.jacobian_function(self.expected)
         lanes, size = self.layout.lanes, self.layout.block
         blocks = np.empty((lanes, size, size))
         indices = np.arange(size, dtype=PETSc.IntType)

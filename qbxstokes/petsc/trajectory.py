@@ -19,8 +19,9 @@ class Checkpoint:
 
     state (columns, n_state); step: the next one, 0 to choose; next_sample: index into the times.
     method: TS type, or the formula of a Runge-Kutta type; local_tolerance: what the error of a step
-    is held to; reachable: about the error at the end that rounding alone leaves; all three as at
-    the start of the run. steps, rejections: accepted and rejected steps; evaluations, jacobians:
+    is held to; reachable: about the error at the end that rounding alone leaves; expected:
+    right-hand sides that are forecast, by which the rate is compiled or not; all four as at the
+    start of the run. steps, rejections: accepted and rejected steps; evaluations, jacobians:
     right-hand sides and Jacobians of the block. norm_drift: largest | |q| - 1 | that any cut met
     before it was removed.
     """
@@ -32,6 +33,7 @@ class Checkpoint:
     method: str = ""
     local_tolerance: float = 0.0
     reachable: float = 0.0
+    expected: float = 0.0
     steps: int = 0
     rejections: int = 0
     evaluations: int = 0

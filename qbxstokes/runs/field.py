@@ -15,6 +15,7 @@ from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
+from qbxstokes.io.results import told_by
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_flow import FieldFlow
@@ -92,11 +93,14 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     )
     flow = FieldFlow(job.comm, loaded, clock)
     work = FieldWork(job.comm, flow, [instant], folder)
-    target = folder.target
+    target, identity = folder.target, json.dumps(folder.identity)
     if job.comm.rank != 0:
         work.write(None)
         return {}
-    with ResultWriter(target, case.task, job.provenance, job.overwrite) as writer:
+    # A run that was killed as it ended may have left its whole result.
+    replace = job.overwrite or (folder.resumed and told_by(target, "identity") == identity)
+    record = {**job.provenance, "identity": identity}
+    with ResultWriter(target, case.task, record, replace, folder.folder) as writer:
         facts = work.write(writer)
         around = flow.around(instant)
         disturbance = around.disturbance
@@ -125,6 +129,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
             "case": str(loaded.path),
             "title": case.title,
             "task": case.task,
+            "complete": True,
             **facts,
             "velocity": velocity,
             "angular_velocity": spin,
@@ -135,7 +140,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
             "largest_error": max(errors.values()),
             "wall_times": dict(clock.parts),
         }
-        summary["files"] = export_field(loaded, clock, writer.file, target)
+        summary["files"] = export_field(loaded, clock, writer.file, folder)
         summary["result"] = str(writer.finish(summary))
     summary["files"] += draw_pictures(loaded, clock, Path(summary["result"]))
     return summary
@@ -200,15 +205,18 @@ def help_with_field(
     FieldWork(comm, flow, instants, folder.joined(comm.rank), key).write(None)
 
 
-def export_field(loaded: LoadedCase, clock: Clock, file: Any, output: Path) -> list[str]:
-    """Write the file for ParaView, if asked for; the names of what was written."""
+def export_field(loaded: LoadedCase, clock: Clock, file: Any, work: Work) -> list[str]:
+    """Write the file for ParaView, if asked for; the names of what was written.
+
+    work: the working folder of the result, whose name it gets.
+    """
     section = loaded.case.field
     if section is None or not section.vtk:
         return []
     from qbxstokes.io.vtkhdf import export
 
     with clock.part("export"):
-        return [str(export(file, output.with_suffix(".vtkhdf")))]
+        return [str(export(file, work.target.with_suffix(".vtkhdf"), work.folder))]
 
 
 def draw_pictures(loaded: LoadedCase, clock: Clock, result: Path) -> list[str]:

@@ -99,7 +99,8 @@ def _computed(
     summary = _facts(job, assembled, trajectory, events, recording)
     replace = recording.overwrite or recording.replaces(recording.target)
     record = {**job.provenance, **recording.provenance}
-    with ResultWriter(recording.target, case.task, record, replace) as writer:
+    folder = recording.work.folder
+    with ResultWriter(recording.target, case.task, record, replace, folder) as writer:
         _conclude(job, recording, writer, summary, assembled, team)
     if case.field is not None and summary["complete"]:
         from qbxstokes.runs.field import draw_pictures
@@ -150,7 +151,7 @@ def _conclude(
         summary["field"] = field_of_motion(
             loaded, times, samples, clock, writer, assembled, team, recording.work
         )
-        summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.target)
+        summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.work)
     with clock.part("output"):
         summary["wall_times"] = dict(clock.parts)
         summary["result"] = str(writer.finish(summary))
