@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 
 from qbxstokes.errors import CaseError
 
 PAGES = Path(__file__).parents[1] / "pages"
+_WIDTH = 92  # of tables, in columns
 
 
 def topics() -> dict[str, str]:
@@ -46,24 +49,30 @@ def page(topic: str) -> str:
 
 def _plain(lines: list[str]) -> Iterator[str]:
     """Lines of Markdown without its marks: code indented, tables aligned, links their text."""
-    code, table = False, []
-    for line in [*lines, ""]:
+    code, table = False, list[list[str]]()
+    for line in [*lines, "```"]:
+        text = line if code else re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", line)
         if not code and line.startswith("|"):
-            table.append([cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]])
+            table.append([cell.strip() for cell in re.split(r"(?<!\\)\|", text)[1:-1]])
             continue
         yield from _aligned(table)
         table = []
         if line.startswith("```"):
             code = not code
-        elif code:
-            yield f"    {line}".rstrip()
         else:
-            yield re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", line)
+            yield f"    {text}".rstrip() if code else text
 
 
 def _aligned(table: list[list[str]]) -> Iterator[str]:
-    """Rows of a table in columns."""
+    """Rows of a table in columns; where they are too wide together, the widest are wrapped."""
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    while sum(widths) > _WIDTH - 2 * len(widths):
+        widths[widths.index(max(widths))] -= 1
     for number, row in enumerate(table):
-        cells = ["-" * w for w in widths] if number == 1 else row
-        yield "  ".join(f"{cell:{w}}" for cell, w in zip(cells, widths, strict=True)).rstrip()
+        cells = ["-" * width for width in widths] if number == 1 else row
+        wrapped = [
+            textwrap.wrap(*pair, break_on_hyphens=False) for pair in zip(cells, widths, strict=True)
+        ]
+        for line in zip_longest(*wrapped, fillvalue=""):
+            padded = (f"{text:{width}}" for text, width in zip(line, widths, strict=True))
+            yield "  ".join(padded).rstrip()
