@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import ConvergenceError
+from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.parallel import guarded, missing_message, on_root, world
 from qbxstokes.runs.progress import Clock
 
@@ -32,6 +33,7 @@ class Job:
     options: argparse.Namespace
     petsc: Sequence[str]
     clock: Clock
+    interruption: Interruption
     PETSc: Any = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -45,6 +47,7 @@ class Job:
         with self.clock.part("import"):
             from qbxstokes.runs.provenance import start_petsc
         self.PETSc, self.provenance = start_petsc(self.comm, self.loaded, self.petsc, self.clock)
+        self.interruption.take()
 
     def tell(self, data: Mapping[str, Any], text: Callable[[], str]) -> None:
         """Print data where JSON is asked for, else the text where any is, on rank 0."""
@@ -92,6 +95,19 @@ def compute_case(
     clock: Clock,
 ) -> int:
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
+    with Interruption() as interruption:
+        return _computed(comm, path, read, options, petsc, clock, interruption)
+
+
+def _computed(
+    comm: Any,
+    path: Path,
+    read: Callable[[], LoadedCase],
+    options: argparse.Namespace,
+    petsc: Sequence[str],
+    clock: Clock,
+    interruption: Interruption,
+) -> int:
     with clock.part("import"):
         from qbxstokes.case.load import from_document
         from qbxstokes.runs.plan import plan_of
@@ -107,7 +123,7 @@ def compute_case(
         document, space, target = on_root(comm, planned)
         # Every rank makes the same of the document.
         loaded, plan = own or (from_document(document, path, space), None)
-    job = Job(comm, loaded, plan, target, options, petsc, clock)
+    job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
     if loaded.space is not None:
         from qbxstokes.runs.sweep import sweep_command
 

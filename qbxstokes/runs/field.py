@@ -18,7 +18,7 @@ from qbxstokes.io import field as store
 from qbxstokes.io.results import told_by
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.runs.field_flow import FieldFlow
+from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
 from qbxstokes.runs.field_targets import chosen_instants
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
@@ -60,6 +60,7 @@ def run_field(job: Job) -> dict[str, Any]:
     if done is not None:
         return {"result": str(done), "finished_before": True}
     try:
+        job.interruption.listening = True
         with compilation_told(comm, not job.options.quiet):
             folder = own[0] if own else folder.joined(comm.rank)
             summary = _computed(job, folder)
@@ -91,8 +92,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         np.array(section.force),
         np.array(section.torque),
     )
-    flow = FieldFlow(job.comm, loaded, clock)
-    work = FieldWork(job.comm, flow, [instant], folder)
+    work = FieldWork(job, job.comm, [instant], folder)
     target, identity = folder.target, json.dumps(folder.identity)
     if job.comm.rank != 0:
         work.write(None)
@@ -102,7 +102,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     record = {**job.provenance, "identity": identity}
     with ResultWriter(target, case.task, record, replace, folder.folder) as writer:
         facts = work.write(writer)
-        around = flow.around(instant)
+        around = work.around(instant)
         disturbance = around.disturbance
         velocity = around.rotation @ disturbance.velocity
         spin = around.rotation @ disturbance.angular_velocity
@@ -123,7 +123,10 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
             }
         )
         if section.tracers is not None:
-            store.put_arrays(writer.file[store.GROUP], "tracers", flow.steady_tracers(instant), {})
+            with clock.part("tracers"):
+                k = disturbance.grid.spheroid.aspect_ratio
+                paths = steady_tracers(around, section, instant, k)
+            store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
         errors = facts.pop("errors")
         summary: dict[str, Any] = {
             "case": str(loaded.path),
@@ -161,10 +164,9 @@ def _scales(disturbance: Disturbance) -> dict[str, float]:
 
 
 def field_of_motion(
-    loaded: LoadedCase,
+    job: Job,
     times: Array,
     samples: Mapping[str, Array],
-    clock: Clock,
     writer: ResultWriter,
     assembled: Assembled,
     team: RowTeam | None,
@@ -175,8 +177,9 @@ def field_of_motion(
     samples: quantities (T, ...) at the times (T,). team: the other ranks, which
     take part by `help_with_field`.
     """
-    section = loaded.case.field
+    loaded, section, time = job.loaded, job.loaded.case.field, job.loaded.case.time
     assert section is not None
+    assert time is not None
     instants = [
         Instant(
             float(times[index]),
@@ -189,20 +192,21 @@ def field_of_motion(
     ]
     key = json.dumps(plain(section))
     comm = ALONE if team is None else team.join(FIELD, instants, folder.joined(0), key)
-    flow = FieldFlow(comm, loaded, clock)
-    facts = FieldWork(comm, flow, instants, folder, key).write(writer)
+    work = FieldWork(job, comm, instants, folder, key)
+    facts = work.write(writer)
     if section.tracers is not None:
-        paths = flow.moving_tracers(assembled.equations, assembled.initial, float(times[-1]))
+        start, end = assembled.initial, float(times[-1])
+        with job.clock.part("tracers"):
+            paths = moving_tracers(
+                work.solution, section, assembled.equations, start, end, time.tolerance
+            )
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 
 
-def help_with_field(
-    comm: Any, loaded: LoadedCase, clock: Clock, instants: list[Instant], folder: Work, key: str
-) -> None:
+def help_with_field(job: Job, instants: list[Instant], folder: Work, key: str) -> None:
     """What the other ranks do for `field_of_motion`."""
-    flow = FieldFlow(comm, loaded, clock)
-    FieldWork(comm, flow, instants, folder.joined(comm.rank), key).write(None)
+    FieldWork(job, job.comm, instants, folder.joined(job.comm.rank), key).write(None)
 
 
 def export_field(loaded: LoadedCase, clock: Clock, file: Any, work: Work) -> list[str]:

@@ -11,21 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field
-from typing import Any, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import INSIDE, SOURCES
+from qbxstokes.bie.field import INSIDE, SOURCES, FlowAround
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.runs.field_flow import FieldFlow
-from qbxstokes.runs.field_targets import Targets, surface_angles
+from qbxstokes.runs.field_lines import streamlines
+from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
 from qbxstokes.runs.gathering import Gathering, notes
+from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, agree, on_root
-from qbxstokes.simulation.around import Instant
+from qbxstokes.runs.rows import rows_by_all
+from qbxstokes.simulation.around import AroundBody, Instant
+from qbxstokes.simulation.from_case import body_of
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 Array = NDArray[np.float64]
 
@@ -95,18 +102,26 @@ class Found:
 class FieldWork:
     """Evaluates a field on all ranks of a communicator, for rank 0 to put into its file.
 
-    work: the working folder, held by rank 0. key: what tells this field from another one of the
-    same run.
+    comm: of those who share it. work: the working folder, held by rank 0. key: what tells this
+    field from another one of the same run. solution: the flow around the body.
     """
 
     def __init__(
-        self, comm: Any, flow: FieldFlow, instants: list[Instant], work: Work, key: str = ""
+        self, job: Job, comm: Any, instants: list[Instant], work: Work, key: str = ""
     ) -> None:
-        interval = flow.loaded.case.checkpoint.interval
+        loaded = job.loaded
+        section, body, interval = (
+            loaded.case.field,
+            body_of(loaded),
+            loaded.case.checkpoint.interval,
+        )
+        assert section is not None
         every = interval.number if interval.unit == "seconds" else 30.0
-        self.comm, self.flow, self.instants = comm, flow, instants
-        self.section, self.clock, self._key = flow.section, flow.clock, key
-        self.plane = next((t for t in flow.targets if t.name == "plane"), None)
+        self.comm, self.section, self.clock, self.instants = comm, section, job.clock, instants
+        self._interruption, self._key = job.interruption, key
+        self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
+        self.targets = targets_of(loaded, section)
+        self.plane = next((t for t in self.targets if t.name == "plane"), None)
         self._gathering = Gathering(comm, work, FIELD, every=every, most=MOST)
 
     def write(self, writer: ResultWriter | None) -> dict[str, Any]:
@@ -115,7 +130,8 @@ class FieldWork:
         Returns on rank 0 what the summary says: errors, points by source, iterations. An error is
         raised on all ranks.
         """
-        self.flow.form(self.instants[0])
+        with self.clock.part("set-up"):  # on a grid that resolves the flow at first
+            self.solution.form(self.instants[0], partial(rows_by_all, self.comm))
         done = on_root(self.comm, self._finished)
         self._share_out(set(done))
         if writer is None:
@@ -131,6 +147,11 @@ class FieldWork:
             self._gathering.drain()
         return self._conclude(group, whole, found)
 
+    def around(self, instant: Instant) -> FlowAround:
+        """The flow around the body at the instant; solved again only for another one."""
+        with self.clock.part("integral equation"):
+            return self.solution.at(instant)
+
     def _take(self, group: Any, whole: dict[tuple[str, int], Any], found: Found) -> None:
         """On rank 0: write what all ranks hold; `whole` gets what only all of it can say."""
         for arrays, note in self._gathering.collect():
@@ -139,7 +160,7 @@ class FieldWork:
             found.join(note["found"])
             task = Task(*note["task"])
             if task.kind == "points":
-                name = self.flow.targets[task.target].name
+                name = self.targets[task.target].name
                 store.put_rows(group[name], task.instant, task.begin, arrays)
             elif arrays:
                 place = task.begin if task.kind == "error map" else task.instant
@@ -153,10 +174,10 @@ class FieldWork:
     def _lay_out(self, writer: ResultWriter) -> Any:
         """On rank 0: the group with room for all points."""
         times = np.array([instant.time for instant in self.instants])
-        sets = {target.name: target.shape for target in self.flow.targets}
+        sets = {target.name: target.shape for target in self.targets}
         store.create(writer.file, times, sets, list(self.section.quantities))
         group = writer.file[store.GROUP]
-        for target in self.flow.targets:
+        for target in self.targets:
             store.put_arrays(group, target.name, target.parameters, {"frame": target.frame})
         writer.claim()
         return group
@@ -171,7 +192,7 @@ class FieldWork:
                 tasks.append(Task("streamlines", index))
             if self.section.surface is not None:
                 tasks.append(Task("surface", index))
-            for number, target in enumerate(self.flow.targets):
+            for number, target in enumerate(self.targets):
                 share = max(SMALLEST_PIECE, -(-target.size // FEWEST_PIECES))
                 tasks += [
                     Task("points", index, number, begin, end)
@@ -213,6 +234,9 @@ class FieldWork:
             while (number := counters.next(HandOut.BLOCKS)) < len(tasks):
                 if number in done:
                     continue
+                if self._interruption.asked():
+                    self._gathering.save()
+                    raise interrupted(self._gathering.work.folder, self._interruption.signal)
                 found = Found()
                 arrays = self._do(tasks[number], found, told)
                 task = astuple(tasks[number])
@@ -229,7 +253,7 @@ class FieldWork:
 
     def _do(self, task: Task, found: Found, told: set[int]) -> dict[str, Array]:
         """The arrays of a task; told: instants whose solution this rank has told of."""
-        around = self.flow.around(self.instants[task.instant])
+        around = self.around(self.instants[task.instant])
         disturbance = around.disturbance
         if task.instant not in told:
             told.add(task.instant)
@@ -237,7 +261,7 @@ class FieldWork:
                 slip = disturbance.boundary_error / (disturbance.scale or 1.0)
             self._require(slip)
             found.slip = slip
-            found.solves[task.instant] = self.flow.last_solve()
+            found.solves[task.instant] = self.solution.last_solve()
         with self.clock.part(_PARTS[task.kind]):
             if task.kind == "points":
                 return self._evaluated(task, found)
@@ -245,7 +269,8 @@ class FieldWork:
                 assert self.section.surface is not None
                 return dict(around.surface(*surface_angles(self.section.surface.shape)))
             if task.kind == "streamlines":
-                return {"points": self.flow.streamlines(self.instants[task.instant])}
+                instant = self.instants[task.instant]
+                return {"points": streamlines(around, self.section, instant)}
             if task.kind == "check":
                 if task.begin < task.end:
                     points = disturbance.check_points(min(self.section.check, FEW))
@@ -265,10 +290,10 @@ class FieldWork:
 
     def _evaluated(self, task: Task, found: Found) -> dict[str, Array]:
         """The quantities of a piece of points."""
-        section, target = self.section, self.flow.targets[task.target]
+        section, target = self.section, self.targets[task.target]
         points = self._points(target, task.begin, task.end, task.instant)
         with_stress = "stress" in section.quantities
-        values = self.flow.around(self.instants[task.instant]).evaluate(
+        values = self.around(self.instants[task.instant]).evaluate(
             points, section.tolerance, section.method, with_stress
         )
         source = values["source"]
@@ -319,8 +344,8 @@ class FieldWork:
         if self.section.check:
             largest["table against QBX"] = found.difference
         iterations, residuals = zip(*found.solves.values(), strict=True)
-        grid = self.flow.solution.operators.grid
-        last = self.flow.around(self.instants[-1]).disturbance
+        grid = self.solution.operators.grid
+        last = self.around(self.instants[-1]).disturbance
         return {
             "errors": largest,
             "points": dict(zip(("inside", *SOURCES), found.counts.tolist(), strict=True)),

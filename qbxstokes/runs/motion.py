@@ -15,7 +15,6 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
-from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.rows import RowTeam, with_team
@@ -41,7 +40,7 @@ def run_motion(job: Job) -> dict[str, Any]:
     def help_with_field(*arguments: Any) -> None:
         from qbxstokes.runs import field
 
-        field.help_with_field(comm, loaded, job.clock, *arguments)
+        field.help_with_field(job, *arguments)
 
     def compute(team: RowTeam) -> dict[str, Any]:
         # Options of the solver want to be seen at work.
@@ -52,24 +51,22 @@ def run_motion(job: Job) -> dict[str, Any]:
         if recording.finished is not None:
             return {"result": str(recording.finished), "finished_before": True}
         try:
-            return _computed(job, recording, interruption, workshop, team)
+            return _computed(job, recording, workshop, team)
         finally:
             recording.close()
 
-    with Interruption(patient=comm.rank != 0) as interruption:
-        return on_root(comm, with_team(comm, compute, {"field": help_with_field}))
+    job.interruption.patient = comm.rank != 0
+    return on_root(comm, with_team(comm, compute, {"field": help_with_field}))
 
 
-def _computed(
-    job: Job, recording: Recording, interruption: Interruption, workshop: Workshop, team: RowTeam
-) -> dict[str, Any]:
+def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam) -> dict[str, Any]:
     """Compute the motion on this process, write the result file, and return the summary.
 
     workshop: who shares the set-up, and where operators are kept. team: the ranks that share the
     field. Raises Interrupted where a signal asks for it, after what there is has been written and
     made safe, and ConvergenceError where the motion cannot be followed further, likewise.
     """
-    case, plan, clock = job.loaded.case, job.plan, job.clock
+    case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
     with clock.part("set-up"), pointed(job.loaded):
         assembled = plan.simulation.assemble(workshop, checked=True)
         events = assembled.watch()
@@ -149,7 +146,7 @@ def _conclude(
         from qbxstokes.runs.field import export_field, field_of_motion
 
         summary["field"] = field_of_motion(
-            loaded, times, samples, clock, writer, assembled, team, recording.work
+            job, times, samples, writer, assembled, team, recording.work
         )
         summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.work)
     with clock.part("output"):

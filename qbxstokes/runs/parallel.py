@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 import traceback
@@ -79,9 +80,12 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
             return error.exit_status
         print(f"qbxstokes: rank {comm.rank}: {error}", file=sys.stderr, flush=True)
         status = error.exit_status
-    except KeyboardInterrupt:
-        print("qbxstokes: interrupted; no result was written", file=sys.stderr, flush=True)
-        status = 130
+    except KeyboardInterrupt as stop:
+        number = stop.args[0] if stop.args else signal.SIGINT
+        name = "" if number == signal.SIGINT else f"{signal.Signals(number).name}: "
+        text = f"qbxstokes: {name}interrupted; no result was written"
+        print(text, file=sys.stderr, flush=True)
+        status = 128 + number
     except Exception as error:
         status = 1
         told = petsc_message(error) or missing_message(error)

@@ -18,7 +18,7 @@ from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
-from qbxstokes.runs.interrupt import Interruption, interrupted
+from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
@@ -120,12 +120,12 @@ def _computed(
             size, unit = scenes.space.size, scenes.nouns[1]
             progress = Progress(size, options.progress, comm.size, unit, before=todo.done)
         begin = time.perf_counter()
-        with Interruption() as interruption, compilation_told(comm, speak):
-            interruption.listening = True
-            team = Team(comm, counters, progress, interruption, todo)
+        with compilation_told(comm, speak):
+            job.interruption.listening = True
+            team = Team(comm, counters, progress, job.interruption, todo)
             work_on_blocks(team, scenes, layout, models, gathering, clock)
-    except KeyboardInterrupt:
-        raise interrupted(work.folder, 2) from None
+    except KeyboardInterrupt as stop:
+        raise interrupted(work.folder, *stop.args or (2,)) from None
     with clock.part("waiting"):
         counters.wait()
     failed = counters.read(HandOut.FAILED)

@@ -1,0 +1,128 @@
+"""Lines that follow the flow of a field: streamlines at an instant, tracers about a body."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.bie.field import FlowAround
+from qbxstokes.case.field import FieldSection
+from qbxstokes.errors import ConvergenceError
+from qbxstokes.geometry import rotation
+from qbxstokes.runs.field_targets import in_space
+from qbxstokes.simulation.around import AroundBody, Instant
+
+Array = NDArray[np.float64]
+
+
+def _starts(lines: Any, instant: Instant) -> Array:
+    """Starting points (N, 3) of lines in space."""
+    if lines.points is not None:
+        points = np.array(lines.points, dtype=float)
+    else:
+        share = np.linspace(0.0, 1.0, lines.number)[:, None]
+        points = (1.0 - share) * np.array(lines.start) + share * np.array(lines.stop)
+    return in_space(points, lines.frame, instant.position, instant.rotation)
+
+
+def streamlines(around: FlowAround, section: FieldSection, instant: Instant) -> Array:
+    """Streamlines (lines, samples, 3) in space at the instant."""
+    from qbxstokes.bie.lines import streamlines
+
+    asked = section.streamlines
+    assert asked is not None
+    starts = _starts(asked, instant)
+    return streamlines(
+        around, starts, asked.length, asked.samples, asked.tolerance, asked.both_ways
+    )
+
+
+def steady_tracers(
+    around: FlowAround, section: FieldSection, instant: Instant, aspect_ratio: float
+) -> dict[str, Array]:
+    """Paths about a body that stays in its state, in space as seen from its centre."""
+    from qbxstokes.bie.lines import integrate_lines
+
+    asked = section.tracers
+    assert asked is not None
+    assert asked.duration is not None
+    times = np.linspace(0.0, asked.duration, asked.samples)
+    paths = integrate_lines(
+        lambda _, x: around.relative_velocity(x),
+        around.to_body(_starts(asked, instant)),
+        aspect_ratio,
+        times,
+        asked.tolerance,
+        unit_speed=False,
+    )
+    points = paths @ around.rotation.T + around.position
+    return {"time": times, "points": np.moveaxis(points, 1, 0)}
+
+
+def moving_tracers(
+    solution: AroundBody,
+    section: FieldSection,
+    equations: Any,
+    initial: Array,
+    end: float,
+    tolerance_of_motion: float,
+) -> dict[str, Array]:
+    """Paths while the body moves: both are integrated together from time 0 on.
+
+    equations: of the motion; initial: its state (1, n_state).
+    """
+    from scipy.integrate import solve_ivp
+
+    from qbxstokes.bie.lines import N_STATE, MovingFlow, carried_rate, to_points, to_state
+
+    asked, k = section.tracers, solution.spheroid.aspect_ratio
+    assert asked is not None
+    flow = MovingFlow(solution.operators.grid, solution.flow, solution.flow.degree)
+    body = np.asarray(initial, float).reshape(-1)
+    n_body = body.size
+    position, turn = body[:3], rotation.matrix(rotation.normalize(body[3:7]))
+    starts = _starts(asked, Instant(0.0, position, rotation.normalize(body[3:7])))
+    states = to_state((starts - position) @ turn, k)
+    good = ~np.isnan(states[:, 0])
+    times = np.linspace(0.0, asked.duration or end, asked.samples)
+
+    def rate(t: float, flat: Array) -> Array:
+        state = flat[:n_body]
+        out = np.empty((n_body, 1))
+        equations.rates(t, state[:, None], out)
+        velocity, spin = equations.velocities(t, state[None])
+        around = rotation.matrix(rotation.normalize(state[3:7]))
+
+        def relative(x: Array) -> Array:
+            return flow.relative_velocity(t, state[:3], around, velocity[0], spin[0], x)
+
+        carried = flat[n_body:].reshape(-1, N_STATE)
+        moved = carried_rate(carried, relative, k, unit_speed=False)
+        return np.concatenate([out[:, 0], moved.ravel()])
+
+    # The body moves as accurately as in the motion itself, so that a tracer near its surface is
+    # outside there, too.
+    sensitivity = equations.sensitivity(0.0, body[None], float(times[-1]))
+    tolerance = np.full(n_body + N_STATE * int(good.sum()), asked.tolerance)
+    tolerance[:n_body] = min(asked.tolerance, tolerance_of_motion) / sensitivity
+    tolerance = np.maximum(tolerance, 1e-13)
+    found = solve_ivp(
+        rate,
+        (0.0, times[-1]),
+        np.concatenate([body, states[good].ravel()]),
+        method="DOP853",
+        t_eval=times,
+        rtol=tolerance,
+        atol=tolerance,
+    )
+    if not found.success:
+        raise ConvergenceError(f"the paths of the tracers stopped: {found.message}")
+    points = np.full((len(times), len(states), 3), np.nan)
+    carried = np.moveaxis(found.y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
+    quaternions = rotation.normalize(found.y[3:7].T)
+    relative = np.einsum("tij,tnj->tni", rotation.matrix(quaternions), to_points(carried, k))
+    points[:, good] = relative + found.y[:3].T[:, None]
+    position = found.y[:3].T.copy()
+    return {"time": times, "points": points, "position": position, "orientation": quaternions}
