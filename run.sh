@@ -2,6 +2,7 @@
 # Runs qbxstokes in an environment that has all it needs, and makes that environment first.
 #
 #   ./run.sh CASE.yaml [ARGUMENTS]   run a case, as `python -m qbxstokes CASE.yaml [ARGUMENTS]`
+#   ./run.sh help [TOPIC]            the manual; any other command of qbxstokes likewise
 #   ./run.sh test [ARGUMENTS]        run the fast tests, --all: every one (arguments go to pytest)
 #   ./run.sh lint                    check style and types
 #   ./run.sh python|exec ...         run Python or any command in the environment
@@ -211,9 +212,9 @@ enter() {
 }
 
 recipe=$here$(<"$here/run.sh")$(<"$here/pyproject.toml")
-command=${1:-help}
+command=${1:---help}
 case $command in
-    help | -h | --help) awk 'NR > 1 { if (!/^#/) exit; sub(/^# ?/, ""); print }' "$here/run.sh" ;;
+    -h | --help) awk 'NR > 1 { if (!/^#/) exit; sub(/^# ?/, ""); print }' "$here/run.sh" ;;
     install) enter '' ;;
     test)
         enter '[dev]' pytest hypothesis xdist

@@ -240,6 +240,16 @@ def test_release_from_rest(stokes_number: float) -> None:
     assert np.abs((found.states[:, 0, 0] - position) / size).max() < 1e-8
 
 
+def test_a_first_step_that_cannot_be_solved_is_shortened() -> None:
+    """A light body along the stream hardly moves at first: the first step is far too long."""
+    equations = RigidBodyEquations(exact_model(0.2), SHEAR, 1.0)
+    along = rotation.from_axis(np.array([1.0, 0.0, 0.0]))
+    start = equations.initial_state((0.0, 0.0, 0.0), along)
+    found = integrate(equations, start, [10.0], 1e-7, method="bdf")
+    expected = inertial.linear_flow(0.2, 1.0, MATRIX, start[0, 3:7], np.array([0.0, 10.0]))
+    assert np.abs(found.states[0, 0, 3:7] - expected.orientation[-1]).max() < 1e-6
+
+
 def test_free_top_keeps_energy_and_angular_momentum() -> None:
     k = 0.3
     linear, quadratic, cubic = faxen.body_coefficients(k)

@@ -96,6 +96,7 @@ class System:
         ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
         ts.setErrorIfStepFails(False)
         ts.setMaxStepRejections(100)
+        ts.setMaxSNESFailures(-1)  # a step whose equations are not solved is shortened
         # The Newton solver inside has the prefix ts_, apart from the solver of integral equations.
         ts.getSNES().setOptionsPrefix(f"{self.prefix}ts_")
         defaults = {
