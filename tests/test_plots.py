@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from qbxstokes.cli.main import run_command
 from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.geometry import rotation
+from qbxstokes.io.names import older_pictures
 from qbxstokes.io.results import Result, load
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
@@ -632,3 +634,49 @@ assert "matplotlib.pyplot" not in sys.modules
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "orbit-constant.pdf").exists()
+
+
+def test_a_case_stands_for_its_newest_result(
+    tmp_path: Path, times: Array, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """plot, info and load given a case take its newest result, and say so; so does an old one."""
+    monkeypatch.chdir(tmp_path)
+    for age, name in ((30, "out.h5"), (10, "out-1.h5"), (0, "out-2.h5")):
+        made_by = {"case_file": f"x/{'ok' if age else 'no'}.yaml"}
+        with ResultWriter(Path(name), "motion", made_by) as writer:
+            writer.append(orbit(times))
+            writer.finish({"complete": True})
+        stamp = Path(name).stat().st_mtime - age
+        os.utime(name, (stamp, stamp))
+    assert load("ok.yaml").path == Path("out-1.h5")  # out-2.h5 is of another case
+    assert run_command(["plot", "ok.yaml", "--kind", "orbit"]) == 0
+    out, err = capsys.readouterr()
+    assert (out, err) == (
+        "out-1-orbit.pdf\n",
+        "qbxstokes: ok.yaml: its newest result is out-1.h5\n",
+    )
+    assert run_command(["info", "out.h5"]) == 0
+    assert "out-1.h5 is a newer result of its case" in capsys.readouterr().err
+    assert older_pictures(Path("out-1.h5")) == []
+    os.utime("out-1-orbit.pdf", (1, 1))
+    assert older_pictures(Path("out-1.h5")) == [Path("out-1-orbit.pdf")]
+    assert older_pictures(Path("out.h5")) == []
+    assert run_command(["plot", "other.yaml"]) == 2
+    assert "other.yaml: has no result here" in capsys.readouterr().err
+
+
+def test_a_drawing_that_fails_keeps_the_picture_before(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    old = tmp_path / f"{path.stem}-orbit.pdf"
+    old.write_text("before")
+    fault = CaseError("nothing to draw")
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise fault
+
+    monkeypatch.setattr("qbxstokes.plots.motion.draw_orbit", fail)
+    monkeypatch.setattr("qbxstokes.plots.orbit.draw_orbit", fail)
+    assert run_command(["plot", str(path), "--kind", "orbit", "--output", str(tmp_path)]) == 2
+    assert f"{old}: an earlier picture, kept" in capsys.readouterr().err
+    assert old.read_text() == "before"

@@ -28,7 +28,7 @@ Motion of a rigid spheroid in Stokes flow by quadrature by expansion.
 commands
   check CASE ...      validate case files and stop
   new [FILE]          write a commented starter case (--task motion)
-  info FILE           what a result file holds and how it was made
+  info FILE           what a result holds and how it was made; of a case: the newest
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
   help [TOPIC]        the manual; help keys has every key of a case
@@ -227,10 +227,10 @@ def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
 
 def _info(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Describe a result file."""
-    from qbxstokes.io.results import load
+    from qbxstokes.cli.pictures import told
     from qbxstokes.runs.report import describe_result, to_json
 
-    result = load(_one(words, "info takes one result file"))
+    result = told(_one(words, "info takes one result file, or a case for its newest"))
     print(to_json(result) if options.json else describe_result(result))
     return 0
 

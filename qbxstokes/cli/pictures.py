@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,14 +12,15 @@ from typing import Any, NoReturn
 
 from qbxstokes.case.document import parse_key
 from qbxstokes.case.sweep import column_name
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, QbxStokesError
+from qbxstokes.io.names import newer, newest
 from qbxstokes.io.results import Result, SweepResult, load
 
 PLOT_USAGE = """\
 usage: python -m qbxstokes plot FILE ... [options]
 
-Draws what result files (.h5) hold; each picture is a file NAME-KIND.FORMAT.
-An older picture of that name is replaced.
+Draws what result files (.h5) hold, or the newest result of a case (.yaml); each
+picture is a file NAME-KIND.FORMAT. An older picture of that name is replaced.
 
 options
   --output DIR        where the pictures go (default: here)
@@ -135,7 +137,7 @@ def drawings(
 
 def _opened(path: Path, trajectory: int | None) -> Result:
     """The result in a file, or one trajectory of the sweep in it."""
-    result = load(path)
+    result = told(path)
     if trajectory is None:
         return result
     if not isinstance(result, SweepResult):
@@ -146,6 +148,16 @@ def _opened(path: Path, trajectory: int | None) -> Result:
         return result.trajectory(trajectory)
     except IndexError as error:
         raise CaseError(f"{path}: {error}") from None
+
+
+def told(name: str | Path) -> Result:
+    """The result of a file, or the newest of a case; standard error says what may surprise."""
+    result = load(name)
+    if result.path != Path(name):
+        print(f"qbxstokes: {name}: its newest result is {result.path}", file=sys.stderr)
+    elif later := newer(result.path):
+        print(f"qbxstokes: {name}: {later} is a newer result of its case", file=sys.stderr)
+    return result
 
 
 def _plot(options: argparse.Namespace) -> list[Path]:
@@ -159,18 +171,23 @@ def _plot(options: argparse.Namespace) -> list[Path]:
     roles = {key: given for key, given in (roles | {"scale": options.scale}).items() if given}
     # All files are read before the first picture is written.
     chosen = {
-        Path(name): drawings(Path(name), options.kind, options.trajectory, roles)
+        newest(name): drawings(Path(name), options.kind, options.trajectory, roles)
         for name in options.files
     }
     _make_folder(options.output)
     written = []
     for path, kinds in chosen.items():
         for kind, draw in kinds.items():
-            with style.styled():
-                figure = draw()
-            for name in formats:
-                target = options.output / f"{_stem(path, options)}-{kind}.{name}"
-                written.append(style.save(figure, target))
+            stem = f"{_stem(path, options)}-{kind}"
+            targets = [options.output / f"{stem}.{name}" for name in formats]
+            try:
+                with style.styled():
+                    figure = draw()
+                written += [style.save(figure, target) for target in targets]
+            except QbxStokesError as error:
+                kept = [str(target) for target in targets if target.exists()]
+                note = f"; {', '.join(kept)}: an earlier picture, kept" if kept else ""
+                raise type(error)(f"{error}{note}") from None
     return written
 
 
@@ -185,8 +202,8 @@ def _animate(options: argparse.Namespace) -> list[Path]:
         raise CaseError("command line: --frames is a number from 1 to 10000")
     if not 1 <= options.fps <= 50:
         raise CaseError("command line: --fps is a number from 1 to 50")
-    path = Path(options.files[0])
-    result = _opened(path, options.trajectory)
+    result = _opened(Path(options.files[0]), options.trajectory)
+    path = result.path
     if isinstance(result, SweepResult):
         raise CaseError(f"{path}: is a sweep; choose one of its motions with --trajectory N")
     if result.task != "motion":

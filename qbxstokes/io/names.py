@@ -1,13 +1,14 @@
-"""Names of result files: free ones, numbered ones, and whether one can be written."""
+"""Names of result files: free ones, numbered ones, a case's newest, those that can be written."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.io.format import FORMAT
 
 
@@ -65,3 +66,69 @@ def _is_result(path: Path) -> bool:
             return bool(file.attrs.get("format") == FORMAT)
     except OSError:
         return False
+
+
+def told_by(path: Path, name: str, complete: bool = False) -> str | None:
+    """An attribute of a result's provenance, None where there is none.
+
+    complete: of a result that is whole alone.
+    """
+    if not path.exists():
+        return None
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if complete and not file["summary"].attrs["complete"]:
+                return None
+            held = file["provenance"]
+            return str(held.attrs[name] if name in held.attrs else held[name].asstr()[()])
+    except (OSError, KeyError):
+        return None
+
+
+def newest(path: str | Path) -> Path:
+    """The result that a name stands for: of a case file its newest result in the working folder.
+
+    Raises ResultFileError where a case has no result here.
+    """
+    path = Path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        return path
+    found = _results_of(path.name, Path().glob("*.h5"))
+    if not found:
+        raise ResultFileError(f"{path}: has no result here; run the case, or name its result file")
+    return found[-1]
+
+
+def newer(path: Path) -> Path | None:
+    """A later run's result of the same case, result-1.h5 beside result.h5; None without."""
+    case = told_by(path, "case_file")
+    stem = re.escape(re.sub(r"-\d+$", "", path.stem))
+    like = re.compile(rf"{stem}(-\d+)?{re.escape(path.suffix)}")
+    beside = (other for other in path.parent.iterdir() if like.fullmatch(other.name))
+    found = _results_of(Path(case).name, beside) if case else []
+    return found[-1] if found and _written(found[-1]) > _written(path) else None
+
+
+def older_pictures(path: Path) -> list[Path]:
+    """Pictures in the working folder that are named after a result and older than it."""
+    stem = re.escape(path.stem)
+    named = re.compile(rf"({stem}(?:-\d+)?)(?:-[A-Za-z][\w-]*)?\.(?:pdf|svg|png|gif|mp4)")
+    found = {picture: named.fullmatch(picture.name) for picture in Path().iterdir()}
+    return sorted(
+        picture
+        for picture, match in found.items()
+        if match and _written(picture) < _written(path)  # and not of a result-1.h5
+        if match[1] == path.stem or not path.with_name(match[1] + path.suffix).exists()
+    )
+
+
+def _written(path: Path) -> int:
+    return path.stat().st_mtime_ns
+
+
+def _results_of(case: str, paths: Iterable[Path]) -> list[Path]:
+    """Those that are results of a case by its file's name, the newest last."""
+    found = [path for path in paths if Path(told_by(path, "case_file") or "").name == case]
+    return sorted(found, key=_written)

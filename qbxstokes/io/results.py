@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, read_tree
+from qbxstokes.io.names import newest
 
 if TYPE_CHECKING:
     import h5py
@@ -231,13 +232,15 @@ def _texts(column: NDArray[Any]) -> NDArray[Any]:
 def load(path: str | Path) -> Result:
     """Read a result file; raises ResultFileError if it is missing, damaged or not ours.
 
+    Of a case file its newest result in the working folder, which `path` of the result names.
+
     >>> result = load("jeffery_prolate.h5")  # doctest: +SKIP
     >>> result.time.shape, result.axis.shape  # doctest: +SKIP
     ((301,), (301, 3))
     """
     import h5py
 
-    path = Path(path)
+    path = newest(path)
     try:
         if path.is_dir():
             raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")
@@ -309,22 +312,3 @@ def shows_parts(path: Path) -> bool:
 def _told(item: h5py.Dataset) -> dict[str, Any]:
     """What a dataset, or each column of a table, says of itself."""
     return {key: item.attrs[key] for key in item.attrs if key in _ATTRIBUTES or ": " in key}
-
-
-def told_by(path: Path, name: str, complete: bool = False) -> str | None:
-    """An attribute of a result's provenance, None where there is none.
-
-    complete: of a result that is whole alone.
-    """
-    if not path.exists():
-        return None
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            if complete and not file["summary"].attrs["complete"]:
-                return None
-            held = file["provenance"]
-            return str(held.attrs[name] if name in held.attrs else held[name].asstr()[()])
-    except (OSError, KeyError):
-        return None

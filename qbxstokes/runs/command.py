@@ -66,6 +66,11 @@ class Job:
             summary["wall_times"] = {**self.clock.parts, "total": self.clock.total}
             summary["unused_petsc_options"] = unused_options(self.PETSc)
             self.tell(summary, text)
+            from qbxstokes.io.names import older_pictures
+
+            if old := older_pictures(self.target):
+                names = ", ".join(map(str, old[:4])) + (" ..." if len(old) > 4 else "")
+                print(f"qbxstokes: {names}: drawn before this result", file=sys.stderr)
 
 
 def run_case(path: Path, options: argparse.Namespace, petsc: Sequence[str]) -> int:

@@ -15,7 +15,7 @@ from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
-from qbxstokes.io.results import told_by
+from qbxstokes.io.names import told_by
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers

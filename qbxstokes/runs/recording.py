@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.results import told_by
+from qbxstokes.io.names import told_by
 from qbxstokes.io.store import DamagedPart, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events

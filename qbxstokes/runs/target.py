@@ -12,8 +12,7 @@ from typing import Any
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.names import check_writable, numbered, parts_of
-from qbxstokes.io.results import told_by
+from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
 from qbxstokes.io.store import NUMBERED, first_difference, free_name, holds_work
 
 # Sections that no number depends on, for every task.
