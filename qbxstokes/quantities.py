@@ -160,7 +160,7 @@ period_change | \Delta T/T | 1
    | period over the later half of the half-turns minus earlier, relative
 half_turns      |            | 1   | whole half-turns of the axis that averages are taken over
 rotation_rate | \langle\Omega\rangle | 1/tau
-  | mean rate of the axis about the vorticity's direction
+  | mean rate of the axis about stream x gradient: negative in a shear u = (x2, 0, 0)
   | | mean rotation rate $\langle\Omega\rangle$
 mean_velocity | V | c/tau | mean velocity over whole half-turns | mean
 velocity_change | \Delta V | c/tau | mean velocity over the later half-turns minus the earlier

@@ -22,7 +22,7 @@ from qbxstokes.cli.starter import starter
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load
-from qbxstokes.motion.diagnostics import rotation_period
+from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.runs.parallel import missing_message
 from qbxstokes.runs.plan import make_plan, plan_of
 from qbxstokes.runs.report import counted
@@ -242,10 +242,10 @@ def test_rotation_period_is_jefferys_in_any_frame(k: float) -> None:
     shear[0, 1] = 2.0
     turn = rotation.matrix(rotation.random_quaternions(1, np.random.default_rng(1))[0])
     for gradient in (shear, turn @ shear @ turn.T):
-        assert rotation_period(gradient, k) == pytest.approx(np.pi * (k + 1 / k), rel=1e-11)
-    assert rotation_period(shear + shear.T, k) is None
+        assert jeffery_period(gradient, k) == pytest.approx(np.pi * (k + 1 / k), rel=1e-11)
+    assert jeffery_period(shear + shear.T, k) is None
     spin = shear - shear.T
-    assert rotation_period(spin, k) == pytest.approx(np.pi, rel=1e-14)
+    assert jeffery_period(spin, k) == pytest.approx(np.pi, rel=1e-14)
 
 
 def test_dry_run_and_explain_compute_nothing(

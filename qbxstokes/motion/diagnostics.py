@@ -40,7 +40,7 @@ def orbit_axis(aspect_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -
     return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
 
 
-def rotation_period(gradient: Array, aspect_ratio: float) -> float | None:
+def jeffery_period(gradient: Array, aspect_ratio: float) -> float | None:
     """Period of a free spheroid's axis in a linear flow, None where it comes to rest.
 
     The axis follows the linear system dd/dt = (W + lambda E) d up to its length, with

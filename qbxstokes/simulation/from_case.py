@@ -17,7 +17,7 @@ from qbxstokes.case.scene import FREE, LOCKED, Start
 from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.motion.diagnostics import orbit_axis, rotation_period
+from qbxstokes.motion.diagnostics import jeffery_period, orbit_axis
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
@@ -130,7 +130,7 @@ def start_quaternion(start: Start, aspect_ratio: float) -> Array:
 def period_of(loaded: LoadedCase) -> float | None:
     """Jeffery's period in the gradient at the start, None where the axis comes to rest."""
     gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
-    return rotation_period(gradient, loaded.case.body.aspect_ratio)
+    return jeffery_period(gradient, loaded.case.body.aspect_ratio)
 
 
 def times_of(loaded: LoadedCase) -> Array:

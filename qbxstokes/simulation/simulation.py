@@ -18,7 +18,7 @@ from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.motion.diagnostics import rotation_period
+from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
@@ -150,7 +150,7 @@ class Simulation:
     @cached_property
     def period(self) -> float | None:
         """Jeffery's period in the gradient at the start; None where the axis comes to rest."""
-        return rotation_period(self.gradient, self.body.aspect_ratio)
+        return jeffery_period(self.gradient, self.body.aspect_ratio)
 
     @property
     def massless(self) -> bool:
