@@ -248,7 +248,7 @@ nodes           |             | 1 | nodes on the surface
 
 STATUS = _table("""
 status | | | 0 missing, 1 done, 2 failed
-reason | | | why it failed
+reason | | | why it failed, or ended before the last instant
 """)
 
 # Of a case: keys that have a symbol, by their names in the table of a sweep.

@@ -10,19 +10,21 @@ import pytest
 
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.flows import build_flow
+from qbxstokes.flows.domain import channel, extent, tube
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.contacts import Contacts, edge_gap, singular_gap
 from qbxstokes.motion.events import (
     Event,
     Events,
     Passage,
     leaving,
-    meeting,
-    root,
     steady,
     turning_point,
 )
+from qbxstokes.motion.roots import root
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, jeffery
@@ -117,7 +119,8 @@ def test_steady_state_in_extension_is_found() -> None:
 def test_meeting_a_point_is_seen_from_the_surface() -> None:
     equations = equations_of(1.0)
     start = equations.initial_state([-4, 1, 0], [1, 0, 0, 0])  # a unit sphere moving at speed 1
-    events = watch(equations, meeting(np.array([[0.0, 1.0, 0.0]]), 1.0, 0.5))
+    gap = singular_gap(np.array([[0.0, 1.0, 0.0]]), 1.0, 0.5)
+    events = Events(equations, contacts=Contacts([gap], np.ones(1)))
     found = integrate(equations, start, [20.0], 1e-9, observe=events)
     assert found.states[-1, 0, 0] == pytest.approx(-1.5, abs=1e-8)
 
@@ -139,3 +142,50 @@ def test_events_of_a_resumed_run_are_those_of_a_whole_one() -> None:
     later.restore(state)
     integrate(equations, checkpoint, [60.0], observe=later, **arguments)
     np.testing.assert_array_equal(later.take()["half_turns"], np.array(rows[count:]))
+
+
+def farthest(k: float, axis: Any, centre: Any) -> float:
+    """Largest distance from the line along e1 of a spheroid's surface, by a fine grid."""
+    theta = np.linspace(0.0, np.pi, 2001)[:, None]
+    points = Spheroid(k).surface(theta, np.linspace(0.0, 2.0 * np.pi, 2001))
+    turned = points @ rotation.matrix(rotation.from_axis(np.array(axis))).T + centre
+    return float(np.hypot(turned[..., 1], turned[..., 2]).max())
+
+
+@pytest.mark.parametrize("k", [0.1, 1.0, 4.0])
+def test_gaps_are_distances_of_surfaces(k: float) -> None:
+    rng = np.random.default_rng(3)
+    for axis in [*rotation.random_axes(3, rng), np.eye(3)[0], np.eye(3)[1]]:
+        body, place = extent(axis, k), rng.uniform(-2.0, 2.0, 3)
+        for centre in (place, 0.0 * place, place * [1, 0, 1]):
+            (wall,) = tube(9.0)
+            assert wall.gap(centre, body) == pytest.approx(
+                9.0 - farthest(k, axis, centre), abs=2e-5
+            )
+            upper, lower = channel(9.0)
+            reach = np.sqrt(k * k + (1.0 - k * k) * axis[1] ** 2)
+            assert upper.gap(centre, body) == pytest.approx(9.0 - centre[1] - reach, rel=1e-14)
+            assert lower.gap(centre, body) == pytest.approx(9.0 + centre[1] - reach, rel=1e-14)
+
+
+def test_walls_go_with_their_flow() -> None:
+    spec = {"type": "plane_poiseuille", "half_width": 5.0, "position": [0, 1, 0]}
+    flow = build_flow({"type": "sum", "terms": [spec, {"type": "rotation"}]}).scaled(2.0)
+    assert [str(edge) for edge in flow.domain] == ["the wall x2 = 6", "the wall x2 = -4"]
+    turned = build_flow({**spec, "rotation": {"axis": [0, 0, 1], "angle": math.pi / 2}})
+    assert str(turned.rotated(np.eye(3)).domain[0]) == "the wall x1 = -5"
+    assert not SHEAR.domain
+
+
+def test_a_passing_touch_between_the_ends_of_a_step_is_seen() -> None:
+    """A rod in shear, whose tip passes a plane only while it stands upright."""
+    equations = equations_of(0.1)
+    start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array([1.0, -0.3, 0.0])))
+    end = np.array([jeffery.period(0.1)])
+    for height in (0.999999, 0.9, 0.6):
+        gaps = [edge_gap(edge, 0.1, slice(None)) for edge in channel(height)]
+        events = Events(equations, contacts=Contacts(gaps, np.ones(1)))
+        found = integrate(equations, start, end, 1e-6, method="8vr", observe=events)
+        assert events.ended[0] == "domain_exit"
+        axis = rotation.axis(found.states[-1, 0, 3:7])
+        assert math.sqrt(0.01 + 0.99 * axis[1] ** 2) == pytest.approx(height, abs=1e-10)

@@ -41,7 +41,7 @@ def test_a_stokeslet_that_is_met_ends_the_run(run_cli: Run) -> None:
     assert done.returncode == 0, done.stderr
     assert "ended at t = 3.61" in done.stderr
     summary = json.loads(done.stdout)
-    assert summary["events"]["ended_by"] == "met_singularity"
+    assert summary["events"]["ended_by"] == "clearance"
     assert summary["final_position"][0] == pytest.approx(-1.5, abs=1e-8)
 
 

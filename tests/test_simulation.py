@@ -188,3 +188,27 @@ def test_loads_push_a_free_body_by_its_mobility() -> None:
     still = qs.flow("uniform", velocity=[0, 0, 0])
     u, omega = body.free_motion(still, force=[1, 0, 2], torque=[0, 1, 0])
     assert np.allclose(np.concatenate([u, omega]), body.mobility @ [1, 0, 2, 0, 1, 0], atol=1e-15)
+
+
+def test_lanes_end_where_their_flow_does() -> None:
+    """The first lane reaches the wall; it has no samples from there on, the others have theirs."""
+    flow, weight = qs.flow("plane_poiseuille", half_width=5.0), qs.Loads(force=[0.0, 1.0, 0.0])
+    places, times = [[0, 3.5, 0], [0, -4, 0]], np.linspace(0.0, 20.0, 21)
+
+    def motion(place: Any) -> qs.Motion:
+        scene = qs.Simulation(
+            qs.Body(0.5), flow, position=place, orientation=[1, 1, 0.2], loads=weight
+        )
+        return scene.integrate(times)
+
+    together, first, second = motion(places), motion(places[0]), motion(places[1])
+    assert first.summary["events"]["ended_by"] == "domain_exit"
+    ended = together.summary["ended"]
+    assert list(ended) == [0]
+    assert ended[0]["time"] == pytest.approx(first.time[-1], abs=1e-7)
+    count = len(first.time) - 1
+    np.testing.assert_allclose(together.position[0, :count], first.position[:-1], atol=1e-8)
+    assert np.isnan(together.axis[0, count:]).all()
+    np.testing.assert_allclose(together.axis[1], second.axis, atol=1e-8)
+    with pytest.raises(SceneError, match="start with the whole body inside"):
+        motion([0, 4.9, 0])

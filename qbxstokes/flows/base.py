@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.differences import gradient_of
+from qbxstokes.flows.domain import Domain
 from qbxstokes.flows.values import Array, check_keys
 
 if TYPE_CHECKING:
@@ -102,6 +103,11 @@ class Flow(ABC):
     def singular_points_known(self) -> bool:
         """Whether the flow is singular nowhere but at `singular_points`, for certain."""
         return True
+
+    @property
+    def domain(self) -> Domain:
+        """The surfaces inside which the flow is known, such as walls; none: it fills space."""
+        return ()
 
     @abstractmethod
     def spec(self) -> dict[str, Any]:
@@ -269,6 +275,11 @@ class SumFlow(Flow):
     def singular_points_known(self) -> bool:
         """Whether all terms' are."""
         return all(flow.singular_points_known for flow in self.terms)
+
+    @property
+    def domain(self) -> Domain:
+        """Where all terms are known."""
+        return tuple(edge for flow in self.terms for edge in flow.domain)
 
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.values import Array, number, tensor
 
@@ -133,7 +134,8 @@ class PlanePoiseuille(PolynomialFlow):
     def __init__(self, half_width: float, speed: float = 1.0) -> None:
         width = number(half_width, "half_width", positive=True)
         top = number(speed, "speed")
-        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(-top / width / width, 0.0))
+        hessian = _stream_hessian(-top / width / width, 0.0)
+        super().__init__((top, 0.0, 0.0), hessian=hessian, domain=channel(width))
         self._spec = {"type": self.type_name, "half_width": width, "speed": top}
 
 
@@ -143,8 +145,8 @@ class TubePoiseuille(PolynomialFlow):
     type_name = "tube_poiseuille"
 
     def __init__(self, radius: float, speed: float = 1.0) -> None:
-        tube = number(radius, "radius", positive=True)
+        width = number(radius, "radius", positive=True)
         top = number(speed, "speed")
-        curvature = -top / tube / tube
-        super().__init__((top, 0.0, 0.0), hessian=_stream_hessian(curvature, curvature))
-        self._spec = {"type": self.type_name, "radius": tube, "speed": top}
+        hessian = _stream_hessian(*[-top / width / width] * 2)
+        super().__init__((top, 0.0, 0.0), hessian=hessian, domain=tube(width))
+        self._spec = {"type": self.type_name, "radius": width, "speed": top}

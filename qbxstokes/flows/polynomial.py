@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow, curl
+from qbxstokes.flows.domain import Domain, moved
 from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 Exponents = tuple[int, int, int]
@@ -45,8 +46,13 @@ class PolynomialFlow(Flow):
         hessian: ArrayLike | None = None,
         third: ArrayLike | None = None,
         origin: ArrayLike = (0.0, 0.0, 0.0),
+        domain: Domain = (),
     ) -> None:
-        """Taylor tensors at the origin; a missing one is zero. Raises FlowError."""
+        """Taylor tensors at the origin; a missing one is zero. Raises FlowError.
+
+        domain: the surfaces inside which the flow is known, in space.
+        """
+        self._domain = domain
         tensors = []
         for rank, (name, given) in enumerate(
             zip(_TENSOR_KEYS, (value, gradient, hessian, third), strict=True), start=1
@@ -82,7 +88,7 @@ class PolynomialFlow(Flow):
         if cls is not PolynomialFlow:
             return super().keys()
         keys = {"coefficients": None, **super().keys()}
-        del keys["origin"]  # the key `position`, which every flow has
+        del keys["origin"], keys["domain"]  # the key `position`, which every flow has; all space
         return keys
 
     @classmethod
@@ -155,7 +161,8 @@ class PolynomialFlow(Flow):
                 for index in product(range(3), repeat=degree):
                     if all(index.count(j) == exponents[j] for j in range(3)):
                         tensors[degree][(component, *index)] += derivative
-        flow = cls(*tensors)
+        value, gradient, hessian, third = tensors
+        flow = cls(value, gradient, hessian, third)
         flow.require_stokesian()
         return flow
 
@@ -293,7 +300,8 @@ class PolynomialFlow(Flow):
 
     def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
         """The flow moved, u'(x) = u(x - displacement): its origin moves."""
-        return self._with(self._tensors, self.origin + tensor(displacement, "position", (3,)))
+        way = tensor(displacement, "position", (3,))
+        return self._with(self._tensors, self.origin + way, moved(self._domain, np.eye(3), way))
 
     def about(self, origin: ArrayLike) -> PolynomialFlow:
         """The same flow by its derivatives at another origin."""
@@ -301,7 +309,7 @@ class PolynomialFlow(Flow):
         return (
             self
             if np.array_equal(place, self.origin)
-            else self._with(self.derivatives(place), place)
+            else self._with(self.derivatives(place), place, self._domain)
         )
 
     def rotated(self, rotation: ArrayLike) -> PolynomialFlow:
@@ -312,21 +320,23 @@ class PolynomialFlow(Flow):
             "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
         )
         tensors = (turn @ self.value, turn @ self.gradient_tensor @ turn.T, hessian, third)
-        return self._with(tensors, turn @ self.origin)
+        return self._with(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
 
     def scaled(self, factor: float) -> PolynomialFlow:
         """The flow times a number."""
         s = number(factor, "factor")
-        return self._with([s * derivatives for derivatives in self._tensors], self.origin)
+        tensors = [s * derivatives for derivatives in self._tensors]
+        return self._with(tensors, self.origin, self._domain)
 
     def plus(self, other: PolynomialFlow) -> PolynomialFlow:
         """Sum of two polynomial flows as one, about the origin of the first."""
         pairs = zip(self._tensors, other.about(self.origin)._tensors, strict=True)
-        return self._with([one + two for one, two in pairs], self.origin)
+        domain = self._domain + other.domain
+        return self._with([one + two for one, two in pairs], self.origin, domain)
 
     def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
         """The same flow, remembering the specification it was built from."""
-        flow = self._with(self._tensors, self.origin)
+        flow = self._with(self._tensors, self.origin, self._domain)
         flow._spec = dict(spec)
         return flow
 
@@ -334,10 +344,15 @@ class PolynomialFlow(Flow):
     def _tensors(self) -> tuple[Array, Array, Array, Array]:
         return self.value, self.gradient_tensor, self.hessian, self.third
 
+    @property
+    def domain(self) -> Domain:
+        """The surfaces inside which the flow is known."""
+        return self._domain
+
     @staticmethod
-    def _with(tensors: Sequence[Array], origin: Array) -> PolynomialFlow:
+    def _with(tensors: Sequence[Array], origin: Array, domain: Domain) -> PolynomialFlow:
         value, gradient, hessian, third = tensors
-        return PolynomialFlow(value, gradient, hessian, third, origin)
+        return PolynomialFlow(value, gradient, hessian, third, origin, domain)
 
     def _from_origin(self, x: ArrayLike) -> Array:
         """Points relative to the origin."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.domain import Domain, moved
 from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 
@@ -100,6 +101,11 @@ class TransformedFlow(Flow):
     def singular_points_known(self) -> bool:
         """Whether the flow's are."""
         return self.flow.singular_points_known
+
+    @property
+    def domain(self) -> Domain:
+        """Where the flow is known, moved with it."""
+        return moved(self.flow.domain, self.rotation, self.position)
 
     def spec(self) -> dict[str, Any]:
         """Specification that moves, turns and scales that of the flow."""

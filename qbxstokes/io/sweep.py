@@ -42,7 +42,16 @@ Array = NDArray[Any]
 REASON_LENGTH = 160
 MISSING, DONE, FAILED = 0, 1, 2
 # Numbers of the whole sweep, written in place when it ends.
-TOTALS = ("trajectories", "done", "failed", "steps", "rhs_evaluations", "wall_time", "ranks")
+TOTALS = (
+    "trajectories",
+    "done",
+    "failed",
+    "ended",
+    "steps",
+    "rhs_evaluations",
+    "wall_time",
+    "ranks",
+)
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.motion.contacts import Contacts
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.frames import symmetry_axis
 from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY, Step
+from qbxstokes.motion.roots import root
 
 Array = NDArray[np.float64]
 Row = Sequence[float]
@@ -33,8 +34,6 @@ Function = Callable[[float, Row], float]
 _LARGEST_TURN = 1.0
 # Axes this near to the normal of the plane of turning do not pass through any plane.
 _STILL = 1e-8
-_ITERATIONS = 60
-_EPSILON = 4.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -51,40 +50,6 @@ class Event:
     threshold: float = 0.0
     ends: bool = False
     reason: str = ""
-
-
-def root(function: Callable[[float], float], a: float, b: float, fa: float, fb: float) -> float:
-    """Zero of a function between a and b, where it has the values fa and fb of different signs.
-
-    Inverse quadratic interpolation safeguarded by bisection (T. R. Chandrupatla 1997, Adv. Eng.
-    Softw. 28, 145); to rounding of the argument.
-    """
-    if fa == 0.0 or fb == 0.0:
-        return a if fa == 0.0 else b
-    t, best = fa / (fa - fb), a  # the first guess is the secant's
-    for _ in range(_ITERATIONS):
-        x = a + t * (b - a)
-        fx = function(x)
-        if fx == 0.0:
-            return x
-        if (fx > 0.0) == (fa > 0.0):
-            c, fc = a, fa
-        else:
-            c, b, fc, fb = b, a, fb, fa
-        a, fa = x, fx
-        best = a if abs(fa) < abs(fb) else b
-        if a == b:
-            return best
-        nearest = (_EPSILON * abs(best) + 1e-300) / abs(b - a)
-        if nearest >= 0.5:
-            return best
-        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-        t = 0.5
-        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            t = fa / (fb - fa) * fc / (fb - fc)
-            t += (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
-        t = min(1.0 - nearest, max(nearest, t))
-    return best
 
 
 @dataclass
@@ -145,7 +110,8 @@ class Passage:
 class Events:
     """The events of one body's motion; call it with every step.
 
-    frame: of the shear in which the orbit constant is meant. found: rows by name since `take` was
+    frame: of the shear in which the orbit constant is meant. contacts: what the body must not
+    reach, which ends the run. found: rows by name since `take` was
     called last: time, position (3), axis (3), velocity (3), orbit constant; a half-turn has the
     time and the displacement since the last but one besides, a whole turn. first, last: rows of
     the whole run; counts: how many there were. ended: name and reason of what ended the run.
@@ -155,6 +121,7 @@ class Events:
     passage: Passage | None = None
     events: Sequence[Event] = ()
     frame: ShearFrame | None = None
+    contacts: Contacts | None = None
     found: dict[str, list[list[float]]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     first: dict[str, list[float]] = field(default_factory=dict)
@@ -177,6 +144,7 @@ class Events:
             "last": {name: list(row) for name, row in self.last.items()},
             "recent": [list(row) for row in self.recent],
             "signs": dict(self._signs),
+            "nearest": {} if self.contacts is None else dict(self.contacts.nearest),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -185,6 +153,8 @@ class Events:
         self.first, self.last = dict(state["first"]), dict(state["last"])
         self.recent = [list(row) for row in state["recent"]]
         self._signs = dict(state["signs"])
+        if self.contacts is not None:
+            self.contacts.nearest = {name: tuple(least) for name, least in state["nearest"].items()}
 
     def take(self) -> dict[str, Array]:
         """The rows found since the last call."""
@@ -201,8 +171,12 @@ class Events:
 
     def __call__(self, step: Step) -> float | None:
         """Events of a step, recorded in order; the instant at which the run ends, if it does."""
+        reached = None if self.contacts is None else next(iter(self.contacts(step)), None)
         for (t0, y0), (t1, y1) in pairwise(self._pieces(step)):
             hits = []
+            if reached is not None and t0 <= reached.t <= t1:
+                ends = Event(reached.name, lambda t, y: 0.0, ends=True, reason=reached.reason)
+                hits.append((reached.t, ends))
             for event in self._all:
                 t = self._crossing(event, step, t0, y0, t1, y1)
                 if t is not None:
@@ -320,14 +294,3 @@ def leaving(lower: Sequence[float | None], upper: Sequence[float | None]) -> Eve
         return max((sign * (y[i] - bound) for i, sign, bound in bounds), default=-1.0)
 
     return Event("left_region", beyond, direction=1, ends=True, reason="the centre left the region")
-
-
-def meeting(points: Array, aspect_ratio: float, least: float) -> Event:
-    """The instant at which one of the points comes as near to the surface as `least`."""
-
-    def within(t: float, y: Row) -> float:
-        axis = np.array(symmetry_axis(y[ORIENTATION]))
-        return least - float(np.min(clearance(points, y[POSITION], axis, aspect_ratio)))
-
-    reason = f"a singular point of the flow is {least:.3g} from the surface"
-    return Event("met_singularity", within, direction=1, ends=True, reason=reason)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,18 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.values import Key
 from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
+from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.diagnostics import orbit_axis
-from qbxstokes.petsc.trajectory import Checkpoint, Chunk
+from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.quantities import COLUMNS, MOTION
 from qbxstokes.runs.gathering import Gathering, Item
 from qbxstokes.runs.scenes import STOKES
-from qbxstokes.simulation.assembly import Assembled, assemble
+from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.from_case import Starts, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -31,12 +34,18 @@ Indices = NDArray[np.intp]
 
 @dataclass
 class BlockResult:
-    """Summaries (n,) by column, quantities (n, T, ...), failures, and what it cost."""
+    """Summaries (n,) by column, quantities (n, T, ...), and what it cost.
+
+    failed, endings: why trajectories have no result, or ended before the last instant. nearest:
+    least gap below a body length to an edge of the flow.
+    """
 
     summary: dict[str, Array]
     quantities: dict[str, Array]
     times: Array
     failed: dict[int, str] = field(default_factory=dict)
+    endings: dict[int, str] = field(default_factory=dict)
+    nearest: float = np.inf
     steps: int = 0
     evaluations: int = 0
 
@@ -117,7 +126,7 @@ class Keeper:
         """Whether the state is to be saved now, the next chance being so many seconds ahead."""
         return self._gathering.late(ahead)
 
-    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+    def save(self, arrays: Mapping[str, NDArray[Any]], note: Mapping[str, Any]) -> None:
         """Make the state safe, and whatever else this rank has finished."""
         self._gathering.save()
         self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
@@ -162,20 +171,18 @@ def compute_block(
 
 
 def _sound(scene: Simulation, first: int, result: BlockResult) -> Indices:
-    """Those that may start: not in a singularity of the flow."""
+    """Those that may start: not in a singularity of the flow, nor beyond its edge."""
     everyone = np.arange(len(scene))
     flow = scene.flow
-    if not len(flow.singular_points):
-        return everyone
     k, axes = scene.body.aspect_ratio, rotation.axis(scene.quaternion)
-    sound = []
-    for i in everyone.tolist():
+    failed = outside(flow.domain, scene.position, axes, k)
+    for i in everyone.tolist() if len(flow.singular_points) else ():
         try:
             check_singularities(flow, scene.position[i], axes[i], k)
-            sound.append(i)
         except FlowError as error:
-            result.failed[first + i] = str(error)
-    return np.array(sound, dtype=np.intp)
+            failed[i] = str(error)
+    result.failed |= {first + i: reason for i, reason in failed.items()}
+    return np.setdiff1d(everyone, list(failed)).astype(np.intp)
 
 
 @dataclass
@@ -184,7 +191,7 @@ class _Integration:
 
     An attempt is known by its first and last row. ended: how attempts of this run and of the one
     that it goes on with ended, "done" or "halved". begun: the attempt that a state is kept of, with
-    its checkpoint, samples and seconds so far.
+    its run and seconds so far.
     """
 
     times: Array
@@ -195,7 +202,7 @@ class _Integration:
     keeper: Keeper
     result: BlockResult
     ended: dict[str, str] = field(default_factory=dict)
-    begun: tuple[str, Checkpoint, Array, float] | None = None
+    begun: tuple[str, LaneRun, float] | None = None
     stopped: bool = False
 
     def compute(self, parts: list[Part]) -> None:
@@ -230,64 +237,71 @@ class _Integration:
             pushed=self.pushed,
             evaluation="compiled",  # a sweep repays the import, however small its blocks
         )
-        kept: list[Array] = []
-        start, spent = None, 0.0
+        run, spent = LaneRun.of(assembled, self.times), 0.0
         if self.begun is not None and self.begun[0] == name:
-            _, start, states, spent = self.begun
-            kept.append(states)
+            _, held, spent = self.begun
+            run = replace(held, assembled=assembled)
         cut = clock.perf_counter()
 
-        def receive(chunk: Chunk) -> None:
+        def receive() -> None:
             nonlocal cut
-            kept.append(chunk.states)
             now = clock.perf_counter()
             ahead, cut = now - cut, now
-            self.begun = (name, chunk.checkpoint, np.concatenate(kept), spent + now - begin)
-            if self.keeper.late(ahead) and chunk.checkpoint.next_sample < len(self.times):
+            self.begun = name, run, spent + now - begin
+            assert run.checkpoint is not None
+            if self.keeper.late(ahead) and run.checkpoint.next_sample < len(self.times):
                 self.save()
 
-        trajectory = assembled.trajectory(
-            self.times, start, on_chunk=receive, interrupted=self.poke
-        )
+        trajectory = run.go(receive, self.poke)
         if not trajectory.finished:
             self.stopped = True
             self.save()
             return
         if trajectory.refusal or trajectory.failure:
             raise ConvergenceError(trajectory.refusal or trajectory.failure)
-        states = np.concatenate(kept)
-        if not np.isfinite(states).all():
+        if not np.isfinite(run.states[:, run.active]).all():
             raise ConvergenceError("the state is not finite")
         self.result.steps += trajectory.checkpoint.steps * len(rows)
         self.result.evaluations += trajectory.checkpoint.evaluations * len(rows)
-        self._summarise(assembled, trajectory.checkpoint, states, rows)
+        self._summarise(run, rows)
         self.ended[name], self.begun = "done", None
         seconds = spent + clock.perf_counter() - begin
         self.result.summary["wall_time"][rows] = seconds / len(rows)
 
-    def _summarise(
-        self, assembled: Assembled, end: Checkpoint, states: Array, rows: Indices
-    ) -> None:
-        samples = assembled.observe(self.times, states, tuple(self.result.quantities))
-        summarise(self.result, assembled, end, states, samples, rows, self.discard)
+    def _summarise(self, run: LaneRun, rows: Indices) -> None:
+        samples = run.samples(tuple(self.result.quantities))
+        summarise(self.result, run, samples, rows, self.discard)
 
     # -- the state of a block in work ---------------------------------------------------------
 
     def save(self) -> None:
         """Keep what is finished of the block, and where the present attempt is."""
-        arrays: dict[str, Array] = {}
+        arrays: dict[str, NDArray[Any]] = {}
         note: dict[str, Any] = {"ended": self.ended, "begun": None}
         if self.begun is not None:
-            name, checkpoint, states, seconds = self.begun
-            numbers = {**vars(checkpoint)}
-            arrays = {"state": numbers.pop("state"), "states": states}
-            note["begun"] = {"name": name, "checkpoint": numbers, "seconds": seconds}
+            name, run, seconds = self.begun
+            numbers = {**vars(run.checkpoint)}
+            gone = {lane: {**vars(contact)} for lane, contact in run.ended.items()}
+            arrays = {
+                "state": numbers.pop("state"),
+                "states": run.states[: numbers["next_sample"]],
+                "active": run.active,
+                "gone": np.array([contact.pop("state") for contact in gone.values()]),
+            }
+            note["begun"] = {
+                "name": name,
+                "checkpoint": numbers,
+                "seconds": seconds,
+                "gone": list(gone.values()),
+                "nearest": run.nearest,
+            }
         if "done" in self.ended.values():
             result = self.result
             arrays |= {f"summary|{name}": values for name, values in result.summary.items()}
             arrays |= {f"quantity|{name}": values for name, values in result.quantities.items()}
-            note["failed"] = {str(row): reason for row, reason in result.failed.items()}
-            note["totals"] = [result.steps, result.evaluations]
+            for name in ("failed", "endings"):
+                note[name] = {str(row): why for row, why in getattr(result, name).items()}
+            note["totals"] = [result.steps, result.evaluations, result.nearest]
         self.keeper.save(arrays, note)
 
     def restore(self) -> None:
@@ -299,8 +313,14 @@ class _Integration:
         self.ended = dict(note["ended"])
         if note["begun"] is not None:
             told = note["begun"]
+            states = np.full((len(self.times), *arrays["states"].shape[1:]), np.nan)
+            states[: len(arrays["states"])] = arrays["states"]
             checkpoint = Checkpoint(**{**told["checkpoint"], "state": arrays["state"]})
-            self.begun = (told["name"], checkpoint, arrays["states"], told["seconds"])
+            gone = zip(told["gone"], arrays["gone"], strict=True)
+            ended = {int(c["lane"]): Contact(**c, state=state) for c, state in gone}
+            run = LaneRun(None, self.times, states, arrays["active"], checkpoint, ended)
+            run.nearest = told["nearest"]
+            self.begun = told["name"], run, told["seconds"]
         if "totals" in note:
             result = self.result
             for name, values in arrays.items():
@@ -309,41 +329,56 @@ class _Integration:
                     result.summary[key] = values
                 elif kind == "quantity":
                     result.quantities[key] = values
-            result.failed = {int(row): reason for row, reason in note["failed"].items()}
-            result.steps, result.evaluations = note["totals"]
+            for name in ("failed", "endings"):
+                setattr(result, name, {int(row): why for row, why in note[name].items()})
+            result.steps, result.evaluations, result.nearest = note["totals"]
 
 
 def summarise(
     result: BlockResult,
-    assembled: Assembled,
-    end: Checkpoint,
-    states: Array,
+    run: LaneRun,
     samples: Mapping[str, Array],
     rows: Indices,
     discard: float,
 ) -> None:
-    """Fill in quantities, averages and final states of lanes.
+    """Fill in quantities, averages and final states of the lanes of a finished run.
 
-    end: of the integration. states (T, n, n_state), samples (T, n, ...) of `Assembled.observe`.
+    samples (T, n, ...): of the run. Lanes that ended before the others have averages up
+    to there, and tell why in `result.endings`.
     """
-    times, table = result.times, result.summary
+    assembled, times, table = run.assembled, result.times, result.summary
+    result.nearest = min(result.nearest, run.nearest)
     for name, array in result.quantities.items():
         array[rows] = samples[name].swapaxes(0, 1)
+    last = {name: samples[name][-1].copy() for name in ("position", "velocity", "angular_velocity")}
+    turn, end = np.full((len(rows), 4), np.nan), np.full(len(rows), float(times[-1]))
+    turn[run.active] = rotation.normalize(run.states[-1, run.active, 3:7])
     averages = assembled.averages(times, samples, discard)
+    for lane, contact in run.ended.items():
+        alone, state = assembled.some(np.array([lane])), contact.state[None, None]
+        there = alone.observe(np.array([contact.t]), state, tuple(last))
+        for name, values in last.items():
+            values[lane] = there[name][0, 0]
+        turn[lane], end[lane] = rotation.normalize(contact.state[3:7]), contact.t
+        count = max(1, int(np.searchsorted(times, contact.t, "right")))
+        cut = {name: values[:count, lane : lane + 1] for name, values in samples.items()}
+        for name, values in alone.averages(times[:count], cut, discard).items():
+            averages[name][lane] = values[0]
+        result.endings[int(rows[lane])] = f"{contact.name} at t = {contact.t:.6g}: {contact.reason}"
     for name in ("mean_velocity", "velocity_change"):
         averages |= {f"{name}_{i + 1}": averages[name][:, i] for i in range(3)}
         del averages[name]
     for name, values in averages.items():
         table[name][rows] = values
-    for name in ("position", "velocity", "angular_velocity"):
+    for name, values in last.items():
         for i in range(3):
-            table[f"final_{name}_{i + 1}"][rows] = samples[name][-1][:, i]
-    last = rotation.normalize(states[-1, :, 3:7])
+            table[f"final_{name}_{i + 1}"][rows] = values[:, i]
     for i in range(4):
-        table[f"final_orientation_{i}"][rows] = last[:, i]
-    table["end"][rows] = float(times[-1])
-    table["steps"][rows] = end.steps
-    table["rhs_evaluations"][rows] = end.evaluations
+        table[f"final_orientation_{i}"][rows] = turn[:, i]
+    table["end"][rows] = end
+    assert run.checkpoint is not None
+    table["steps"][rows] = run.checkpoint.steps
+    table["rhs_evaluations"][rows] = run.checkpoint.evaluations
     estimates = assembled.error_estimates(float(times[-1]))
     for lanes, scene, estimate in zip(assembled.slices(), assembled.parts, estimates, strict=True):
         table["error_estimate"][rows[lanes]] = estimate

@@ -29,6 +29,7 @@ from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.compare import Comparison, compare_samples
 from qbxstokes.simulation.from_case import body_of, simulation_of, start_of
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.law import Law, form_law
 from qbxstokes.simulation.simulation import Simulation
 
@@ -136,27 +137,29 @@ class Measurer:
         for _ in range(turns):
             body = known or body_of(loaded)
             assembled = assemble([simulation_of(loaded, body)], checked=True, maker=form)
-            go = partial(assembled.trajectory, times, interrupted=self._poke)
-            trajectory = watch.timed("motion", go)
+            run = LaneRun.of(assembled, times)
+            trajectory = watch.timed("motion", partial(run.go, interrupted=self._poke))
             if not trajectory.finished:
                 raise Stopped
-        if not np.isfinite(trajectory.states).all():
+        if trajectory.refusal or trajectory.failure:
+            raise ConvergenceError(trajectory.refusal or trajectory.failure)
+        if not np.isfinite(run.states[:, run.active]).all():
             raise ConvergenceError("the state is not finite")
         setup = setup or watch.median("setup")
         if plan.simulation.kind == "table":
             self._known[key] = body, setup
         end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
         result.steps, result.evaluations = turns * end.steps, turns * end.evaluations
-        samples = assembled.observe(times, trajectory.states, tuple(MOTION))
-        discard = self._scenes.loaded.case.sweep.discard
-        summarise(result, assembled, end, trajectory.states, samples, row, discard)
-        alone = {name: array[:, 0] for name, array in samples.items()}
+        samples = run.samples(tuple(MOTION))
+        summarise(result, run, samples, row, self._scenes.loaded.case.sweep.discard)
+        whole = int(np.searchsorted(times, result.summary["end"][0], "right"))
+        alone = {name: array[:whole, 0] for name, array in samples.items()}
         return {
             "wall_time": watch.median("motion"),
             "setup_time": setup,
             "rejected": float(end.rejections),
             "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),
-            "error": _error(loaded, lambda: compare_samples(assembled, times, alone)),
+            "error": _error(loaded, lambda: compare_samples(assembled, times[:whole], alone)),
         }
 
 

@@ -83,7 +83,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
             **recording.limits,
         )
         if trajectory.refusal:
-            events.ended = ("met_singularity", trajectory.refusal)
+            events.ended = ("clearance", trajectory.refusal)
     if trajectory.failure and not trajectory.checkpoint.steps:  # there is nothing to keep
         recording.close(remove=True)
         raise ConvergenceError(trajectory.failure)

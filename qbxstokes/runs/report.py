@@ -156,3 +156,12 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, st
             yield prefix + key, "; ".join(map(str, value)) or "none"
         elif value is not None:
             yield prefix + key, str(value)
+
+
+def near_edge(gap: float, t: float | None = None) -> str:
+    """What to say of a body that has come within a body length of an edge of its flow."""
+    when = "" if t is None else f" at t = {t:.6g}"
+    return (
+        f"the body's surface came within {max(gap, 0.0):.3g} of a wall of the flow{when}, less "
+        "than a body length: the wall's own influence on the body is not in the equations"
+    )

@@ -21,6 +21,7 @@ from qbxstokes.runs.report import (
     duration,
     error_text,
     listed,
+    near_edge,
     quantity,
     render,
     size,
@@ -191,6 +192,9 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     found = summary.get("events", {})
     if "ended_by" in found:
         yield f"ended at t = {summary['end']:.6g}: {found['ended_because']}"
+    near = found.get("nearest", {}).get("domain_exit")
+    if near is not None:
+        yield near_edge(near["gap"], near["time"])
     for name in summary["unused_petsc_options"]:
         yield f"PETSc option -{name} was not used by anything"
     if missed(loaded, summary):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -21,6 +22,7 @@ from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
+from qbxstokes.runs.report import near_edge
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
 from qbxstokes.runs.target import finished_result, identity_of, result_path
@@ -315,7 +317,7 @@ def _sum_up(
         "trajectories": scenes.space.size,
         "done": scenes.space.size - len(failed),
         "failed": len(failed),
-        **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations")},
+        **{name: found.totals.get(name, 0.0) for name in ("steps", "rhs_evaluations", "ended")},
         "wall_time": elapsed,
         "ranks": ranks,
     }
@@ -328,11 +330,17 @@ def _sum_up(
         "scenes": scenes.size,
         "blocks": scenes.blocks,
         "failures": dict(sorted(failed.items())[:1000]),
+        "nearest": found.nearest,
     }
 
 
 def tell_failures(summary: dict[str, Any]) -> None:
-    """Say which trajectories failed, the first ten with their reasons."""
+    """Say which trajectories failed, the first ten with their reasons, and which ended early."""
+    if summary.get("ended"):
+        which = f"{summary['ended']:g} of the trajectories ended at an edge of their flow"
+        print(f"qbxstokes: {which}: see end and reason in the table", file=sys.stderr)
+    if summary.get("nearest", math.inf) < math.inf:
+        print(f"qbxstokes: {near_edge(summary['nearest'])}", file=sys.stderr)
     failures = summary.get("failures", {})
     for index, reason in list(failures.items())[:10]:
         print(f"qbxstokes: trajectory {index} failed: {reason}", file=sys.stderr)

@@ -44,7 +44,7 @@ class Todo:
     """What a run has to do: blocks by number, those of them that only mend failures.
 
     done: trajectories that are there already. failed: those that failed and why, by block. totals:
-    steps and right-hand sides so far. merges: whether the result is to hold all rows, rather than
+    steps and right-hand sides so far, and how many ended early. nearest: least gap to an edge. merges: whether the result is to hold all rows, rather than
     show the parts.
     """
 
@@ -54,6 +54,7 @@ class Todo:
     failed: dict[int, dict[int, str]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
     merges: bool = True
+    nearest: float = np.inf
 
     @property
     def numbers(self) -> list[int]:
@@ -69,6 +70,7 @@ class Todo:
         self.failed[number] = {**known, **{int(i): why for i, why in note["failed"].items()}}
         for name, value in note["totals"].items():
             self.totals[name] = self.totals.get(name, 0.0) + value
+        self.nearest = min(self.nearest, note["nearest"])
 
 
 def todo_of(scenes: Swept, work: Work, base: Todo | None) -> Todo:
@@ -228,7 +230,12 @@ class _Computed:
             "block": number,
             "mended": [] if only is None else self.index.tolist(),
             "failed": {str(self.index[i]): reason for i, reason in result.failed.items()},
-            "totals": {"steps": result.steps, "rhs_evaluations": result.evaluations},
+            "totals": {
+                "steps": result.steps,
+                "rhs_evaluations": result.evaluations,
+                "ended": len(result.endings),
+            },
+            "nearest": result.nearest,
         }
 
     def rows(self, scenes: Swept, layout: Layout) -> dict[str, Array]:
@@ -242,8 +249,8 @@ class _Computed:
         for name, column in coordinates_of(scenes, self.index).items():
             table[name] = column
         table["status"] = DONE
-        for i, reason in result.failed.items():
-            table["status"][i] = FAILED
+        table["status"][list(result.failed)] = FAILED
+        for i, reason in (result.endings | result.failed).items():
             table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
         rows: dict[str, Array] = {"index": self.index, "table": table}
         for name in layout.quantities:

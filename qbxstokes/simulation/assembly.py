@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.observables import observe
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.watch import build_events
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 # What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
 Maker = Callable[["Simulation", Workshop], Hydrodynamic]
@@ -41,13 +44,14 @@ CUT_WORK = 4.0
 class Assembled:
     """A scene, or several stacked, ready to be integrated: equations and their start.
 
-    initial: states (n, n_state) of all lanes.
+    initial: states (n, n_state) of all lanes. again: assembles other scenes in the same way.
     """
 
     parts: tuple[Simulation, ...]
     hydrodynamics: tuple[Hydrodynamic, ...]
     equations: RigidBodyEquations
     initial: Array
+    again: Callable[[Sequence[Simulation]], Assembled]
 
     @property
     def tolerance(self) -> float:
@@ -63,6 +67,14 @@ class Assembled:
         """Lanes of each part."""
         ends = np.cumsum([len(part) for part in self.parts])
         return [slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True)]
+
+    def some(self, lanes: Indices) -> Assembled:
+        """Some of the lanes, by their numbers in increasing order."""
+        chosen = [
+            lanes[(lanes >= own.start) & (lanes < own.stop)] - own.start for own in self.slices()
+        ]
+        parts = zip(self.parts, chosen, strict=True)
+        return self.again([part.at(own) for part, own in parts if len(own)])
 
     def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
         """`petsc.stepper.integrate` of the equations with the scene's tolerance.
@@ -139,15 +151,20 @@ class Assembled:
         instants = np.asarray(times, dtype=np.float64)
         if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
             raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
-        single = len(self.initial) == 1
-        watch = self.watch() if single else None
-        if watch is not None:
-            watch.begin(0.0, self.initial)
+        if len(self.initial) > 1:
+            run = LaneRun.of(self, instants)
+            trajectory = run.go()
+            if trajectory.failure or trajectory.refusal:
+                raise ConvergenceError(trajectory.failure or trajectory.refusal)
+            whole = replace(trajectory, times=instants, states=run.states)
+            return Motion.of(self, whole, None, run)
+        watch = self.watch()
+        watch.begin(0.0, self.initial)
         trajectory = self.trajectory(instants, observe=watch)
         if trajectory.failure:
             raise ConvergenceError(trajectory.failure)
-        if trajectory.refusal and watch is not None:
-            watch.ended = ("met_singularity", trajectory.refusal)
+        if trajectory.refusal:
+            watch.ended = ("clearance", trajectory.refusal)
         return Motion.of(self, trajectory, watch)
 
 
@@ -204,7 +221,10 @@ def assemble(
         _stacked([part.angular_velocity for part in parts]),
         t,
     )
-    return Assembled(parts, formed, equations, initial)
+    again = partial(
+        assemble, workshop=workshop, t=t, checked=True, pushed=pushed, evaluation=evaluation
+    )
+    return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
 
 
 def _check_alike(parts: Sequence[Simulation]) -> None:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.quantities import MOTION, of_event
-from qbxstokes.simulation.watch import events_summary, split_columns
+from qbxstokes.simulation.watch import ending, events_summary, split_columns
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
+    from qbxstokes.simulation.lanes import LaneRun
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,8 @@ class Motion:
     orientation: quaternions (..., 4); position, axis, velocity, angular_velocity, force, torque
     (..., 3), in the space frame; euler_angles (..., 3); orbit_constant (...), NaN where the flow is
     no simple shear. summary: what the integration did. events: by name, arrays by column (of a
-    single lane). The axis of lanes is there only where the simulation has one.
+    single lane). The axis of lanes is there only where the simulation has one. Lanes that reach the
+    edge of their flow have no samples (NaN) from there on; summary["ended"] says when and why.
     """
 
     time: Array
@@ -44,10 +46,17 @@ class Motion:
     _states: Array = field(repr=False)
 
     @classmethod
-    def of(cls, assembled: Assembled, trajectory: Any, watch: Any) -> Motion:
-        """From the states of an integration."""
+    def of(
+        cls,
+        assembled: Assembled,
+        trajectory: Any,
+        watch: Any,
+        run: LaneRun | None = None,
+    ) -> Motion:
+        """From the states of an integration; run: of several lanes."""
         times, states = trajectory.times, trajectory.states
-        found = assembled.observe(times, states, tuple(MOTION))
+        wanted = tuple(MOTION)
+        found = assembled.observe(times, states, wanted) if run is None else run.samples(wanted)
         lanes = assembled.parts[0].lanes if len(assembled.parts) == 1 else (states.shape[1],)
 
         def arranged(values: Array) -> Array:
@@ -63,6 +72,8 @@ class Motion:
             "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),
             **({} if watch is None else {"events": events_summary(watch)}),
         }
+        if run is not None and run.ended:
+            summary["ended"] = {lane: ending(contact) for lane, contact in run.ended.items()}
         values = {name: arranged(found[name]) for name in MOTION}
         return cls(
             times, **values, summary=summary, events=events, _assembled=assembled, _states=states

@@ -16,6 +16,7 @@ from qbxstokes.case.values import Problem
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
+from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
@@ -178,9 +179,14 @@ class Simulation:
         return Need(self.kind, completion, self.position[0], self.quaternion[0])
 
     def check(self) -> None:
-        """Refuse a flow that is not Stokesian near the body, or singular in it at the start."""
+        """Refuse a flow that is not Stokesian near the body, singular in it, or that ends there."""
         flow, k = self.flow, self.body.aspect_ratio
         axes = rotation.axis(self.quaternion)
+        beyond = outside(flow.domain, self.position, axes, k)
+        if beyond:
+            raise SceneError(
+                "start.position", next(iter(beyond.values())), "start with the whole body inside"
+            )
         try:
             if len(flow.singular_points):
                 for place, axis in zip(self.position, axes, strict=True):

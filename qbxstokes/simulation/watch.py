@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,16 +11,9 @@ from numpy.typing import NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.motion.events import (
-    Event,
-    Events,
-    Passage,
-    leaving,
-    meeting,
-    steady,
-    turning_point,
-)
+from qbxstokes.motion.events import Event, Events, Passage, leaving, steady, turning_point
 from qbxstokes.quantities import Quantity
 
 if TYPE_CHECKING:
@@ -51,14 +44,29 @@ def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Arra
         if event.function(0.0, row) >= 0.0:
             raise SceneError("events.region", "does not hold start.position", "a larger region")
         events.append(event)
+    gaps: list[Gap] = [edge_gap(edge, k, slice(None)) for edge in flow.domain]
     if len(flow.singular_points):
         there = float(np.min(clearance(flow.singular_points, position, axis, k)))
         least = min(_CLEARANCE, 0.5 * there) if section.clearance is None else section.clearance
         if there <= least:
             wrong = f"is {least:g}, more than the {there:.3g} at the start"
             raise SceneError("events.clearance", wrong)
-        events.append(meeting(flow.singular_points, k, least))
-    return Events(equations, passage, events, scene.frame if scene.frame.simple else None)
+        gaps.append(singular_gap(flow.singular_points, k, least))
+    contacts = Contacts(gaps, np.array([max(k, 1.0)])) if gaps else None
+    frame = scene.frame if scene.frame.simple else None
+    return Events(equations, passage, events, frame, contacts)
+
+
+def lane_contacts(parts: Sequence[Simulation]) -> Contacts | None:
+    """The watch over the edges of the flows of many lanes; None where no flow has any."""
+    gaps: list[Gap] = []
+    first = 0
+    for part in parts:
+        lanes = slice(first, first + len(part))
+        gaps += [edge_gap(edge, part.body.aspect_ratio, lanes) for edge in part.flow.domain]
+        first += len(part)
+    arms = [np.full(len(part), max(part.body.aspect_ratio, 1.0)) for part in parts]
+    return Contacts(gaps, np.concatenate(arms)) if gaps else None
 
 
 def split_columns(rows: Array, columns: Mapping[str, Quantity]) -> dict[str, Array]:
@@ -69,6 +77,11 @@ def split_columns(rows: Array, columns: Mapping[str, Quantity]) -> dict[str, Arr
         found[name] = rows[:, start : start + width].reshape(len(rows), *about.shape)
         start += width
     return found
+
+
+def ending(contact: Contact) -> dict[str, Any]:
+    """When and why a lane ended."""
+    return {"by": contact.name, "because": contact.reason, "time": contact.t}
 
 
 def events_summary(events: Events) -> dict[str, Any]:
@@ -91,6 +104,10 @@ def events_summary(events: Events) -> dict[str, Any]:
         }
     if "steady" in events.counts:
         summary["steady_at"] = events.first["steady"][0]
+    if events.contacts is not None:
+        summary["nearest"] = {
+            name: {"gap": gap, "time": t} for name, (gap, t) in events.contacts.nearest.items()
+        }
     if events.ended[0]:
         summary |= {"ended_by": events.ended[0], "ended_because": events.ended[1]}
     return summary
