@@ -14,8 +14,8 @@ from qbxstokes.flows.domain import channel, extent, tube
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.contacts import Contacts, edge_gap, singular_gap
+from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import (
     Event,
     Events,
@@ -185,7 +185,7 @@ def test_a_passing_touch_between_the_ends_of_a_step_is_seen() -> None:
     for height in (0.999999, 0.9, 0.6):
         gaps = [edge_gap(edge, 0.1, slice(None)) for edge in channel(height)]
         events = Events(equations, contacts=Contacts(gaps, np.ones(1)))
-        found = integrate(equations, start, end, 1e-6, method="8vr", observe=events)
+        found = integrate(equations, start, end, 1e-8, method="8vr", observe=events)
         assert events.ended[0] == "domain_exit"
         axis = rotation.axis(found.states[-1, 0, 3:7])
-        assert math.sqrt(0.01 + 0.99 * axis[1] ** 2) == pytest.approx(height, abs=1e-10)
+        assert math.sqrt(0.01 + 0.99 * axis[1] ** 2) == pytest.approx(height, abs=1e-7)
