@@ -209,8 +209,29 @@ def save(figure: Figure, path: Path, dpi: float = 300.0) -> Path:
         "png": {"Software": f"qbxstokes {__version__}"},
     }
     with whole_file(path) as temporary, styled():
+        _lay_out(figure)
         figure.savefig(temporary, format=kind, metadata=metadata[kind], dpi=dpi)
     return path
+
+
+def _lay_out(figure: Figure) -> None:
+    """Find the places of all parts once, and spare numbers without a power the parser of formulas.
+
+    Both together are half of the time of a picture.
+    """
+    from matplotlib.ticker import ScalarFormatter
+
+    low, high = (10.0**power for power in _SETTINGS["axes.formatter.limits"])
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            formatter = axis.get_major_formatter()
+            size = max(map(abs, axis.get_view_interval()))
+            if isinstance(formatter, ScalarFormatter) and low <= size < high:
+                formatter.set_useMathText(False)
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 @contextmanager
