@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from qbxstokes.case.load import case_of
 from qbxstokes.cli.main import run_command
 from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ResultFileError
@@ -29,7 +30,9 @@ from qbxstokes.plots.columns import Columns, figure_of
 from qbxstokes.plots.orbit import drifts
 from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.series import alike
+from qbxstokes.plots.source import sampling
 from qbxstokes.reference import jeffery
+from qbxstokes.simulation.from_case import samples_of, times_of
 
 Array = NDArray[np.float64]
 
@@ -680,3 +683,35 @@ def test_a_drawing_that_fails_keeps_the_picture_before(
     assert run_command(["plot", str(path), "--kind", "orbit", "--output", str(tmp_path)]) == 2
     assert f"{old}: an earlier picture, kept" in capsys.readouterr().err
     assert old.read_text() == "before"
+
+
+def test_samples_too_far_apart_are_said_in_picture_and_terminal(
+    tmp_path: Path, times: Array, capsys: Any
+) -> None:
+    few = write(tmp_path / "few.h5", orbit(times[::20]))  # 2 turns in 6 steps
+    assert run_command(["plot", str(few), "--kind", "orbit", "--output", str(tmp_path)]) == 0
+    assert "samples per turn where the axis turns fastest" in capsys.readouterr().err
+    note = figure(load(few), "orbit")._supxlabel.get_text()
+    wanted = int(note.split("time.samples of ")[1].split()[0])
+    assert (
+        sampling(load(write(tmp_path / "more.h5", orbit(np.linspace(0, times[-1], wanted))))) == ""
+    )
+    assert figure(load(write(tmp_path / "all.h5", orbit(times))), "orbit")._supxlabel is None
+
+
+@pytest.mark.parametrize("k", [0.05, 0.5, 1.0, 4.0])
+def test_as_many_samples_as_the_motion_needs(k: float) -> None:
+    """Unset, their number keeps the turn between two below a third of a radian."""
+    case = {
+        "body": {"aspect_ratio": k},
+        "flow": {"type": "shear", "rate": 2.0},
+        "start": {"orientation": {"axis": [1, 0, 0.2]}},
+        "time": {"periods": 12},
+    }
+    n = len(times_of(case_of(case)))
+    fastest = 2.0 * max(1.0, k * k) / (1.0 + k * k)
+    assert (n - 1) * 0.3 == pytest.approx(12 * np.pi * (k + 1 / k) * fastest, abs=0.3) or n == 201
+    sweep = {"axes": [{"body.aspect_ratio": [1.0, k]}]}
+    assert samples_of(case_of({**case, "sweep": sweep})) >= n
+    assert samples_of(case_of({**case, "time": {"end": 1e9}})) == 20_001
+    assert samples_of(case_of({**case, "flow": {"type": "extension"}, "time": {"end": 1e9}})) == 201

@@ -139,6 +139,13 @@ class Column:
         """Whether the values are numbers or vectors of numbers."""
         return self.values is None or self.values.dtype.kind == "f"
 
+    def ends(self) -> list[int]:
+        """Points of its least and largest values, of vectors by their lengths; none of words."""
+        if self.values is None or not self.numeric:
+            return []
+        size = self.values if self.values.ndim == 1 else np.linalg.norm(self.values, axis=1)
+        return sorted({int(np.argmin(size)), int(np.argmax(size))})
+
     def extremes(self) -> list[int]:
         """Points at which a faulty value would show: all of a short axis, else the outermost."""
         if self.size <= 1000:
@@ -148,7 +155,7 @@ class Column:
         if not self.numeric:
             return [int(i) for i in np.unique(self.values, return_index=True)[1][:1000]]
         size = self.values if self.values.ndim == 1 else np.linalg.norm(self.values, axis=1)
-        ends = {0, self.size - 1, int(np.argmin(size)), int(np.argmax(size))}
+        ends = {0, self.size - 1, *self.ends()}
         ends |= {int(i) for i in np.flatnonzero(~np.isfinite(size))[:1]}
         return sorted(ends)
 

@@ -28,7 +28,7 @@ Motion of a rigid spheroid in Stokes flow by quadrature by expansion.
 commands
   check CASE ...      validate case files and stop
   new [FILE]          write a commented starter case (--task motion)
-  info FILE           what a result holds and how it was made; of a case: the newest
+  info FILE           what a result (or the newest of a case) holds, how made
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
   help [TOPIC]        the manual; help keys has every key of a case

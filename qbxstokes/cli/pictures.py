@@ -117,7 +117,7 @@ def drawings(
     file that is damaged or was not written by this program.
     """
     from qbxstokes.plots import field, motion, sweep
-    from qbxstokes.plots.source import is_motion
+    from qbxstokes.plots.source import is_motion, sampling
 
     result = _opened(path, trajectory)
     if isinstance(result, SweepResult):
@@ -125,6 +125,8 @@ def drawings(
     if roles:
         raise CaseError(f"{path}: is not a sweep, so it has no table whose columns to draw")
     found: dict[str, Drawing] = motion.drawings(result) if is_motion(result) else {}
+    if note := sampling(result):
+        print(f"qbxstokes: {path}: {note}", file=sys.stderr)
     found |= field.drawings(result)
     for kind in kinds:
         if kind not in found:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from qbxstokes.plots.source import TURN_LIMIT
 
-_CUBIC_LIMIT = 1.0  # radians between samples beyond which rates at the ends say little
+Array = NDArray[np.float64]
 
 
 def between(times: Array, values: Array, rates: Array | None, at: Array) -> Array:
@@ -50,7 +50,7 @@ def axis_path(times: Array, axis: Array, spin: Array | None, largest: float = 0.
     point = between(times, axis, None, at)
     if spin is not None:
         smooth = between(times, axis, np.cross(spin, axis), at)
-        close = np.append(angle[index] < _CUBIC_LIMIT, True)
+        close = np.append(angle[index] < TURN_LIMIT, True)
         point = np.where(close[:, None], smooth, point)
     length = np.linalg.norm(point, axis=1, keepdims=True)
     return at, point / np.maximum(length, 1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from qbxstokes.plots import style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
 from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.series import Panel, moves, panels
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.source import ResultLike, sampling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -111,4 +112,14 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
             found[kind] = partial(stacked, drawn)
     if panels(result, _ALL):
         found["overview"] = partial(overview_figure, result)
+    if note := sampling(result):
+        found = {kind: partial(_noted, draw, note) for kind, draw in found.items()}
     return {kind: found[kind] for kind in KINDS if kind in found}
+
+
+def _noted(draw: Callable[[], Figure], note: str) -> Figure:
+    """A picture that says below what it may hide."""
+    figure = draw()
+    wide = int(18 * figure.get_figwidth())
+    figure.supxlabel(textwrap.fill(note, wide), fontsize=7, color=style.VERMILION)
+    return figure

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from qbxstokes.errors import ResultFileError
 
 Array = NDArray[np.float64]
+TURN_LIMIT = 1.0  # radians between samples, beyond which a picture need not resemble the motion
 
 
 class ResultLike(Protocol):
@@ -61,6 +62,34 @@ def instants(result: ResultLike) -> Array:
     if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
         raise ResultFileError(f"{result.path}: the times of its samples do not rise")
     return times.astype(float)
+
+
+def turn_between(result: ResultLike) -> float:
+    """How far the axis turns between two samples where it turns fastest, radians; 0: not known.
+
+    By its rate, where the file holds it: samples far apart may see a turn as none.
+    """
+    if not is_motion(result) or "axis" not in result.arrays or len(result.arrays["time"]) < 2:
+        return 0.0
+    times, axis = instants(result), samples(result, "axis", 3)
+    spin = vectors(result, "angular_velocity")
+    if spin is None:
+        cosine = np.abs(np.einsum("ij,ij->i", axis[1:], axis[:-1]))
+        return float(np.nanmax(np.arccos(np.minimum(cosine, 1.0))))
+    rates = np.linalg.norm(np.cross(spin, axis), axis=1)
+    return float(np.nanmax(np.maximum(rates[1:], rates[:-1]) * np.diff(times)))
+
+
+def sampling(result: ResultLike) -> str:
+    """What is said of samples too far apart to draw; nothing where they are near enough."""
+    turn = turn_between(result)
+    if turn <= TURN_LIMIT:
+        return ""
+    wanted = int(np.ceil((len(result.arrays["time"]) - 1) * turn / 0.3)) + 1
+    return (
+        f"{2.0 * np.pi / turn:.2g} samples per turn where the axis turns fastest, so that patterns "
+        f"may not be real; time.samples of {wanted} would do"
+    )
 
 
 def is_motion(result: ResultLike) -> bool:

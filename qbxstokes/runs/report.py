@@ -132,6 +132,7 @@ def describe_result(result: Result) -> str:
     simple = (str, int, float)
     sections: dict[str, Rows] = {
         "Holds": datasets,
+        "Sampling": _sampling(result),
         "Summary": list(_leaves(result.summary)),
         "Made by": [
             (key, str(value))
@@ -143,6 +144,15 @@ def describe_result(result: Result) -> str:
     if "case" in made:
         text += "\nCase\n" + textwrap.indent(str(made["case"]).rstrip(), "  ")
     return text
+
+
+def _sampling(result: Result) -> Rows:
+    from qbxstokes.plots.source import TURN_LIMIT, turn_between
+
+    turn = turn_between(result)
+    if turn > 0.0:
+        few = "; too few to draw" if turn > TURN_LIMIT else ""
+        yield "samples per turn", f"{6.2832 / turn:.3g} where the axis turns fastest{few}"
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:

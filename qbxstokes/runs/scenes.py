@@ -20,11 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.case.document import assigned
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.sweep import Column
 from qbxstokes.case.values import Key
 from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
+from qbxstokes.simulation.from_case import samples_of
 
 Indices = NDArray[np.int64]
 
@@ -80,11 +82,13 @@ class Scenes:
         assert loaded.case.sweep is not None
         assert loaded.case.time is not None
         self.loaded, self.space = loaded, loaded.space
-        time = loaded.case.time
         for name, right in _SINGLE.items():
             if getattr(loaded.case, name) != type(loaded.case).declared[name].default:
                 raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
-        self.samples = len(time.at) if time.at is not None else time.samples
+        self.samples = samples_of(loaded)
+        if loaded.case.time.at is None:  # one number for all, where the case leaves it open
+            data = assigned(loaded.document.data, ("time", "samples"), self.samples)
+            self.loaded = replace(loaded, document=replace(loaded.document, data=data))
         section = loaded.case.sweep
         most = BLOCK_BYTES // (8 * _NUMBERS_PER_SAMPLE * self.samples)
         self.block_size = max(1, min(section.block, most))

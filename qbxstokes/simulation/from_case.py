@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.load import LoadedCase, case_of, load_case
+from qbxstokes.case.load import LoadedCase, case_of, from_document, load_case
 from qbxstokes.case.running import Time
 from qbxstokes.case.scene import FREE, LOCKED, Start
 from qbxstokes.errors import CaseError, FlowError, SceneError
@@ -25,6 +25,8 @@ from qbxstokes.simulation.timed import timed
 
 Array = NDArray[np.float64]
 
+# Instants stored where a case does not say how many: least and most, and the axis' turn between.
+_SAMPLES, _TURN = (201, 20_001), 0.3  # radians
 _LOADS = ("force", "torque", "body_force", "body_torque")
 
 
@@ -142,7 +144,43 @@ def times_of(loaded: LoadedCase) -> Array:
     assert time is not None
     if time.at is not None:
         return np.array(time.at)
-    return np.linspace(0.0, end_of(loaded), time.samples)
+    return np.linspace(0.0, end_of(loaded), samples_of(loaded))
+
+
+def samples_of(loaded: LoadedCase) -> int:
+    """How many instants are stored; in a sweep the most that an end of one of its axes needs."""
+    time, space = loaded.case.time, loaded.space
+    assert time is not None
+    if time.at is not None or time.samples is not None:
+        return len(time.at) if time.at is not None else int(time.samples or 0)
+    found = [_needed_samples(loaded)]
+    for axis, column in space.columns if space is not None else ():
+        assert space is not None
+        if column.key[0] in ("body", "flow", "time") or column.key[:2] == ("start", "position"):
+            for point in column.ends():
+                place = [point if other == axis else 0 for other in range(len(space.axes))]
+                data = space.assign(loaded.document.data, place)
+                found.append(
+                    _needed_samples(from_document(replace(loaded.document, data=data), loaded.path))
+                )
+    return max(found)
+
+
+def _needed_samples(loaded: LoadedCase) -> int:
+    """Samples between which the axis turns at most by a part of a radian, as fast as it ever does.
+
+    In the gradient at the start D3 turns at w/2 x D3 and lambda E D3 across, together at most
+    |w|/2 + |lambda| |E| (Jeffery 1922).
+    """
+    if period_of(loaded) is None:
+        return _SAMPLES[0]
+    gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
+    k = loaded.case.body.aspect_ratio
+    shape = abs((1.0 - k * k) / (1.0 + k * k))
+    spin = np.linalg.norm(gradient - gradient.T) / np.sqrt(8.0)
+    fastest = spin + shape * np.linalg.norm(0.5 * (gradient + gradient.T), 2)
+    needed = min(end_of(loaded) * fastest / _TURN, _SAMPLES[1])
+    return int(np.clip(1 + np.ceil(needed), *_SAMPLES))
 
 
 def end_of(loaded: LoadedCase) -> float:
