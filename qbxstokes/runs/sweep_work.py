@@ -44,8 +44,8 @@ class Todo:
     """What a run has to do: blocks by number, those of them that only mend failures.
 
     done: trajectories that are there already. failed: those that failed and why, by block. totals:
-    steps and right-hand sides so far, and how many ended early. nearest: least gap to an edge. merges: whether the result is to hold all rows, rather than
-    show the parts.
+    steps and right-hand sides so far, and how many ended early. nearest: least gap to an edge.
+    merges: whether the result is to hold all rows, rather than show the parts.
     """
 
     blocks: list[int]
