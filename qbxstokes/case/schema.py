@@ -13,6 +13,7 @@ from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, 
 from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
 from qbxstokes.case.sweep import Sweep
 from qbxstokes.case.values import Problem, describe
+from qbxstokes.solver_options import foreign_to_a_case, misleading
 
 # Keys that have no meaning for a task: "what would be right": their names. They are refused where
 # they are given, and starter cases leave them out.
@@ -63,7 +64,12 @@ def _petsc_options(value: Any) -> Any:
             raise Problem("is not an option's name", "a name such as ts_monitor", (name,))
         if isinstance(option, str) and not option.isprintable():
             raise Problem("holds control characters", "printable text", (name,))
-    return {name.lstrip("-"): option for name, option in value.items()}
+    options = {name.lstrip("-"): option for name, option in value.items()}
+    for rule in (foreign_to_a_case, misleading):
+        for name, wrong, right in rule(options):
+            key = name if name in value else f"-{name}"
+            raise Problem(wrong, right, (key,))
+    return options
 
 
 _VALUES = {"type": ["string", "number", "boolean", "null"]}

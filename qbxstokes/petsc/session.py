@@ -10,7 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from qbxstokes.errors import CaseError
 from qbxstokes.petsc.launch import starting_mpi
+from qbxstokes.solver_options import given, misleading
 
 # What the names of the linear solver's options begin with.
 SOLVER_OPTIONS = ("ksp_", "pc_")
@@ -22,8 +24,8 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
     """Initialise PETSc and return the petsc4py.PETSc module.
 
     arguments: the command line that is left for PETSc. options: the `petsc:` section of the case,
-    which yields to the command line and to PETSC_OPTIONS; a key may start with a dash or not, a
-    value of None or True makes a flag. Later calls only add options.
+    which yields to the command line and to PETSC_OPTIONS; a value of None or True makes a flag.
+    Later calls only add options. Raises CaseError as `require_honest` does.
     """
     import petsc4py
 
@@ -32,17 +34,26 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
     if "petsc4py.PETSc" not in sys.modules:
         gc.freeze()  # nothing so far holds an object of PETSc: `_release` need not look through it
         with starting_mpi():
-            petsc4py.init(["qbxstokes", *arguments])
+            # Files named .petscrc are no place that options are known to come from.
+            petsc4py.init(["qbxstokes", "-skip_petscrc", *arguments])
     from petsc4py import PETSc
 
     atexit.unregister(_release)
     atexit.register(_release)
     database = PETSc.Options()
-    for key, value in (options or {}).items():
-        name = key.lstrip("-")
+    for name, value in given(options or {}).items():
         if not database.hasName(name):
-            database.setValue(name, None if value is None or value is True else str(value))
+            database.setValue(name, value)
+    require_honest()
     return PETSc
+
+
+def require_honest() -> None:
+    """Raise CaseError for an option that would make a motion wrong without a word."""
+    from petsc4py import PETSc
+
+    for name, wrong, right in misleading(PETSc.Options().getAll()):
+        raise CaseError(f"PETSc option -{name}: {wrong}; {right}")
 
 
 @contextmanager

@@ -38,6 +38,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.petsc.inside import FEW, Inside
+from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory
 
@@ -92,6 +93,7 @@ def integrate(
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
     shape = equations.layout.columns, equations.layout.n_state
+    require_honest()
     instants = np.asarray(times, dtype=np.float64)
     if isinstance(start, Checkpoint):
         checkpoint = start
