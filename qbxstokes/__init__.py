@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
+    from qbxstokes.simulation.suspension import Suspension as Suspension
+    from qbxstokes.simulation.suspension import Wall as Wall
 
 __version__ = "0.1.0"
 
@@ -44,6 +46,8 @@ _PUBLIC = {
     "Motion": "qbxstokes.simulation.result",
     "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
+    "Suspension": "qbxstokes.simulation.suspension",
+    "Wall": "qbxstokes.simulation.suspension",
     "build_flow": "qbxstokes.flows",
     "flow": "qbxstokes.simulation.body",
     "from_case": "qbxstokes.simulation.from_case",

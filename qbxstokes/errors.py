@@ -58,6 +58,14 @@ class ConvergenceError(QbxStokesError):
     """A solver or integrator stopped before it reached the tolerance that was asked for."""
 
 
+class ContactError(QbxStokesError):
+    """Bodies, or a body and the wall, touch or are nearer than the tolerance can be served."""
+
+    def __init__(self, who: str, gap: float, why: str) -> None:
+        super().__init__(f"{who}: the gap is {gap:.3g}; {why}")
+        self.who, self.gap = who, gap
+
+
 class Interrupted(QbxStokesError):
     """The run was stopped by a signal; the exit status is that of a shell, 128 + signal."""
 

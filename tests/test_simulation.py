@@ -123,8 +123,8 @@ def load_case_text(text: str) -> Any:
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"bodies": [qs.Body(0.5), qs.Body(0.5)]}, "several are not there yet"),
-        ({"surroundings": "wall"}, "an unbounded fluid"),
+        ({"bodies": [qs.Body(0.5), qs.Body(0.5)]}, "one body; several: qs.Suspension"),
+        ({"surroundings": "wall"}, "None; a wall: qs.Suspension"),
         ({"flow": "shear"}, r"qs\.flow\('shear'\)"),
         ({"tolerance": 0.0}, "more than 0"),
         ({"position": np.zeros((2, 3)), "orientation": np.ones((3, 3))}, "broadcast|shape"),
@@ -147,7 +147,7 @@ def test_what_makes_no_scene_is_told_in_a_line(keys: dict[str, Any], told: str) 
         ({"aspect_ratio": 1, "length_over_diameter": 1}, "exactly one of"),
         ({"length_over_diameter": 0}, "more than 0"),
         ({"aspect_ratio": 0.5, "stokes_number": -1}, "stokes_number is -1"),
-        ({"aspect_ratio": 0.5, "size": 2.0}, "unit of length"),
+        ({"aspect_ratio": 0.5, "size": 0.0}, "size is 0"),
         ({"aspect_ratio": 0.5, "inertia": "none"}, "both, translation or rotation"),
         ({"aspect_ratio": 0.5, "hydrodynamics": {"n_theta": 1}}, "hydrodynamics.n_theta"),
     ],

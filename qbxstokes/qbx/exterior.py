@@ -227,7 +227,8 @@ class SurfaceToExterior:
         return np.asarray(np.sqrt(self.grid.theta_weights * np.sin(self.grid.theta)))
 
     @cached_property
-    def _blocks(self) -> list[tuple[Array, Array]]:
+    def blocks(self) -> list[tuple[Array, Array]]:
+        """Per mode: density from the velocity, and the coefficients of C from the density."""
         return [self._block(m) for m in range(self._n_modes)]
 
     def flow(self, velocity: Array) -> ExteriorFlow:
@@ -235,7 +236,7 @@ class SurfaceToExterior:
         grid, h = self.grid, self.harmonics
         modes = to_modes(velocity, grid.n_theta, grid.n_phi)
         coefficients = np.zeros((h.orders, h.degree + 1, 4), dtype=np.complex128)
-        for m, (inverse, moments) in enumerate(self._blocks):
+        for m, (inverse, moments) in enumerate(self.blocks):
             data = (modes[m].reshape(3, -1) * self._scale).ravel()
             if not np.any(data):
                 continue

@@ -64,8 +64,10 @@ class Body:
 
     aspect_ratio: k = a/c, equatorial over polar radius; or length_over_diameter = 1/k, or a shape.
     stokes_number: St = rho_b c^2/(mu tau), 0 for a massless body; an array (lanes,) for independent
-    copies. inertia: of "both" motions, or of "translation" or "rotation" alone. tolerance: relative
-    error of velocities, force and torque. hydrodynamics: further keys of that section of a case.
+    copies. size: the polar radius in a `Suspension`'s units of length; elsewhere it is the
+    unit itself, 1. inertia: of "both" motions, or of "translation" or "rotation" alone. tolerance:
+    relative error of velocities, force and torque. hydrodynamics: further keys of that section of a
+    case.
 
     The integral equation is solved when first needed, by GMRES (0.02 to 0.5 s, and once a machine
     about ten seconds of compilation). Everything is nondimensional: lengths in c, forces in
@@ -86,11 +88,9 @@ class Body:
         hydrodynamics: Mapping[str, Any] | Hydrodynamics | None = None,
     ) -> None:
         self.shape = _shape(aspect_ratio, shape, length_over_diameter)
-        if size != 1.0:
-            raise SceneError(
-                "size", f"is {size:g}", "1: one body is the unit of length of its scene"
-            )
-        self.size = 1.0
+        if not 0.0 < size < math.inf:
+            raise SceneError("size", f"is {size:g}", "positive and finite")
+        self.size = float(size)
         self.stokes_number: Array = np.asarray(stokes_number, dtype=np.float64)
         if not np.all(self.stokes_number >= 0.0) or not np.isfinite(self.stokes_number).all():
             worst = float(self.stokes_number.ravel()[~(self.stokes_number.ravel() >= 0.0)][0])
@@ -133,6 +133,7 @@ class Body:
         """The same body, hydrodynamics included, with another inertia."""
         other = Body(
             shape=self.shape,
+            size=self.size,
             stokes_number=stokes_number,
             inertia=inertia,
             hydrodynamics=self.settings,

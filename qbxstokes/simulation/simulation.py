@@ -69,9 +69,11 @@ class Simulation:
     ) -> None:
         several = list(bodies) if isinstance(bodies, Sequence) else [bodies]
         if len(several) != 1:
-            raise SceneError("bodies", f"are {len(several)}", "one body; several are not there yet")
+            raise SceneError("bodies", f"are {len(several)}", "one body; several: qs.Suspension")
+        if several[0].size != 1.0:
+            raise SceneError("size", f"is {several[0].size:g}", "1: one body is the unit of length")
         if surroundings is not None:
-            raise SceneError("surroundings", f"is {surroundings!r}", "None: an unbounded fluid")
+            raise SceneError("surroundings", f"is {surroundings!r}", "None; a wall: qs.Suspension")
         if not isinstance(flow, Flow):
             raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
         self.body, self.flow = several[0], flow

@@ -1,0 +1,323 @@
+"""Several spheroids, with or without a plane wall, by multiple scattering.
+
+Each body owns its exterior map E (`scatterer`). The boundary velocity v_b that body b's own flow
+must have solves, for given rigid motions and background u,
+
+    v_b + sum_{c != b} (E_c v_c)|_b + sum_c (E_c v_c)^wall|_b = U_b + W_b x r - u|_b
+
+identity plus compact. For bodies under given loads E is replaced by its force-free part M_c v =
+E_c (v - w_c(v)), w_c(v) the rigid motion of the body alone that carries the same force and torque;
+the data are then minus the background and the flow of the loaded bodies each alone, and the motion
+of body b is its motion alone less w_b(v_b).
+
+The wall answers with Lorentz's reflection of a body's flow (Kim & Karrila 1991, sec. 12.1): with
+the plane at height 0, the unit normal N, J = I - 2 N N^T and ^ the value at the mirrored point J x,
+
+    u_wall = -u^ + 2 h J (grad u.N)^ + h^2 J (grad p)^
+    p_wall = p^ - 2 h (N.grad p)^ - 4 (N.grad u.N)^
+
+which asks for nothing but the body's own exterior flow at mirrored points. Forces and velocities
+are those of the space frame; force and torque are exerted by the bodies ON the fluid (mu = 1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.bie.scatterer import Scatterer, Table, scatterer
+from qbxstokes.errors import ContactError
+from qbxstokes.geometry import gaps
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Coefficients = Sequence[ComplexArray]
+
+# Error of the squeezing resistance per polar node: exp(-RATE times the rate of the gap), measured.
+RATE = 1.3
+LEAST_NODES, MOST_NODES = 8, 64
+# Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
+KEPT_NUMBERS = 1.5e8
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane wall: unit normal (3,) into the fluid, a point (3,) of it, its own velocity (3,)."""
+
+    normal: Array
+    point: Array
+    velocity: Array
+
+    def height(self, points: Array) -> Array:
+        """Distance (...) of points (..., 3) above the wall."""
+        return np.asarray((points - self.point) @ self.normal)
+
+    def mirrored(self, points: Array) -> Array:
+        """Points (..., 3) on the other side."""
+        return np.asarray(points - 2.0 * self.height(points)[..., None] * self.normal)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A spheroid in the scene: k, polar radius, centre (3,) and rotation (3, 3) body to space."""
+
+    aspect_ratio: float
+    size: float
+    position: Array
+    rotation: Array
+
+    @property
+    def axis(self) -> Array:
+        """Symmetry axis D3 in space."""
+        return self.rotation[:, 2]
+
+    def to_body(self, points: Array) -> Array:
+        """Points (N, 3) of space in the body frame, in polar radii."""
+        return np.asarray((points - self.position) @ self.rotation / self.size)
+
+
+def closest(bodies: Sequence[Placed], wall: Plane | None) -> tuple[float, tuple[int, int], Array]:
+    """Least gap of the scene, its pair (-1: the wall), and each body's least rate (`gaps.Gap`)."""
+    rates = np.full(len(bodies), np.inf)
+    least, who = np.inf, (0, -1)
+    for b, body in enumerate(bodies):
+        found = [(_pair(body, bodies[c]), c) for c in range(b)]
+        if wall is not None:
+            height = float(wall.height(body.position))
+            k, size = body.aspect_ratio, body.size
+            found.append((gaps.wall_gap(height, wall.normal, body.axis, k, size), -1))
+        for gap, c in found:
+            if gap.gap < least:
+                least, who = gap.gap, (b, c)
+            rates[b] = min(rates[b], gap.rates[0])
+            if c >= 0:
+                rates[c] = min(rates[c], gap.rates[1])
+    return float(least), who, rates
+
+
+def _pair(body: Placed, other: Placed) -> gaps.Gap:
+    return gaps.pair_gap(
+        other.position - body.position,
+        (body.axis, other.axis),
+        (body.aspect_ratio, other.aspect_ratio),
+        (body.size, other.size),
+    )
+
+
+def nodes_for(rate: float, tolerance: float) -> int:
+    """Polar nodes for the rate of decay of a gap (see `gaps.Gap`) and a relative error."""
+    if rate == np.inf:
+        return LEAST_NODES
+    wanted = math.log(1.0 / tolerance) / (RATE * max(rate, 1e-6))
+    # Even numbers, so that few different maps are formed.
+    return max(LEAST_NODES, 2 * math.ceil(0.5 * wanted + 0.5))
+
+
+@dataclass
+class Coupled:
+    """The linear problem of bodies at one instant.
+
+    own: the bodies whose rows this process holds; all by default. tolerance: relative, to which
+    far harmonics are left out. nodes: polar nodes of each body.
+    """
+
+    bodies: Sequence[Placed]
+    wall: Plane | None
+    nodes: Sequence[int]
+    tolerance: float = 1e-12
+    own: Sequence[int] | None = None
+    _tables: dict[tuple[int, int, bool], Table] = field(default_factory=dict)
+    _kept: float = 0.0
+
+    @property
+    def rows(self) -> Sequence[int]:
+        """Bodies of this process."""
+        return range(len(self.bodies)) if self.own is None else self.own
+
+    @cached_property
+    def maps(self) -> list[Scatterer]:
+        """The exterior map of each body."""
+        return [
+            scatterer(body.aspect_ratio, n) for body, n in zip(self.bodies, self.nodes, strict=True)
+        ]
+
+    @cached_property
+    def points(self) -> list[Array]:
+        """Grid points (N, 3) of each body in space."""
+        return [
+            body.position + body.size * one.grid.points @ body.rotation.T
+            for body, one in zip(self.bodies, self.maps, strict=True)
+        ]
+
+    @cached_property
+    def slices(self) -> list[slice]:
+        """Part of each own body in the vector of unknowns."""
+        ends = np.cumsum([0] + [3 * len(self.points[b]) for b in self.rows])
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+    @property
+    def size(self) -> int:
+        """Unknowns of this process."""
+        return int(self.slices[-1].stop) if self.slices else 0
+
+    def split(self, x: Array) -> list[Array]:
+        """Velocities (N, 3) of the own bodies from the vector of unknowns, body frames."""
+        return [
+            x[part].reshape(-1, 3) / self.maps[b].root_weights
+            for b, part in zip(self.rows, self.slices, strict=True)
+        ]
+
+    def joined(self, velocities: Sequence[Array]) -> Array:
+        """The vector of unknowns: velocities times the roots of the quadrature weights."""
+        parts = [
+            (v * self.maps[b].root_weights).ravel()
+            for b, v in zip(self.rows, velocities, strict=True)
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    # -- what a body sends out ----------------------------------------------------------------
+
+    def alone(self, b: int, v: Array) -> tuple[ComplexArray, Array]:
+        """Flow of body b with boundary velocity v, and the motion alone of the same force."""
+        one = self.maps[b]
+        c = one.coefficients(v)
+        return c, one.force_torque(c) / np.diag(one.resistance)
+
+    @cached_property
+    def rigid_flows(self) -> list[ComplexArray]:
+        """Flows (6, ...) of the rigid motions of each body alone."""
+        return [np.stack([one.coefficients(v) for v in one.rigid]) for one in self.maps]
+
+    def flows(self, velocities: Sequence[Array], free: bool) -> list[ComplexArray]:
+        """Exterior flows of the own bodies: E v, or M v for free bodies."""
+        found = []
+        for b, v in zip(self.rows, velocities, strict=True):
+            c, motion = self.alone(b, v)
+            found.append(c - np.tensordot(motion, self.rigid_flows[b], 1) if free else c)
+        return found
+
+    # -- what arrives -------------------------------------------------------------------------
+
+    def _table(self, c: int, b: int, mirrored: bool) -> Table:
+        key = (c, b, mirrored)
+        if key in self._tables:
+            return self._tables[key]
+        table = self.table_at(c, self.points[b], mirrored)
+        if self._kept + table.values.size < KEPT_NUMBERS:
+            self._kept += table.values.size
+            self._tables[key] = table
+        return table
+
+    def table_at(self, c: int, points: Array, mirrored: bool, second: bool = False) -> Table:
+        """Harmonics of body c at points of space, or at their mirror images."""
+        if mirrored:
+            assert self.wall is not None
+            points = self.wall.mirrored(points)
+        x = self.bodies[c].to_body(points)
+        one = self.maps[c]
+        return one.table(x, one.degree_for(x, self.tolerance), mirrored or second)
+
+    def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
+        """Velocity (N, 3), in space, of body c's own flow at points of space."""
+        table = table or self.table_at(c, points, False)
+        return np.asarray(table.velocity(flow) @ self.bodies[c].rotation.T)
+
+    def reflected(
+        self, c: int, flow: ComplexArray, points: Array, table: Table | None = None
+    ) -> tuple[Array, Array]:
+        """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's flow."""
+        assert self.wall is not None
+        table = table or self.table_at(c, points, True)
+        turn, size = self.bodies[c].rotation, self.bodies[c].size
+        u, gradient, p, slope = table.all(flow)
+        normal = self.wall.normal
+        h = self.wall.height(points)[:, None]
+        lift = gradient @ (turn.T @ normal) @ turn.T / size
+        push = slope @ turn.T / size**2
+        sum_ = 2.0 * h * lift + h * h * push
+        sum_ -= 2.0 * (sum_ @ normal)[:, None] * normal
+        pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)
+        return sum_ - u @ turn.T, pressure
+
+    def arriving(self, b: int, flows: Coefficients) -> Array:
+        """Velocity (N, 3) on body b, in its frame, of all others' flows and the wall's answers."""
+        total = np.zeros((len(self.points[b]), 3))
+        for c, flow in enumerate(flows):
+            if c != b:
+                total += self.sent(c, flow, self.points[b], self._table(c, b, False))
+            if self.wall is not None:
+                total += self.reflected(c, flow, self.points[b], self._table(c, b, True))[0]
+        return total @ self.bodies[b].rotation
+
+    # -- data and results ---------------------------------------------------------------------
+
+    def background(self, velocity: Callable[[Array], Array]) -> list[Array]:
+        """A flow of space on the own bodies' grids, in their frames."""
+        return [velocity(self.points[b]) @ self.bodies[b].rotation for b in self.rows]
+
+    def to_body(self, b: int, motion: Array, forces: bool = False) -> Array:
+        """Velocities (6,) of space, or force and torque, in the frame and units of body b's map."""
+        body = self.bodies[b]
+        linear, angular = body.rotation.T @ motion[:3], body.rotation.T @ motion[3:]
+        if forces:
+            return np.concatenate([linear / body.size, angular / body.size**2])
+        return np.concatenate([linear, angular * body.size])
+
+    def to_space(self, b: int, motion: Array, forces: bool = False) -> Array:
+        """The inverse of `to_body`."""
+        body = self.bodies[b]
+        linear, angular = body.rotation @ motion[:3], body.rotation @ motion[3:]
+        if forces:
+            return np.concatenate([linear * body.size, angular * body.size**2])
+        return np.concatenate([linear, angular / body.size])
+
+    def rigid_data(self, b: int, motion: Array) -> Array:
+        """Rigid motion (6,) of space on the grid of body b, in its frame."""
+        return np.tensordot(self.to_body(b, motion), self.maps[b].rigid, 1)
+
+    def force(self, b: int, flow: ComplexArray) -> Array:
+        """Force and torque (6,) that body b exerts on the fluid, in space."""
+        return self.to_space(b, self.maps[b].force_torque(flow), forces=True)
+
+    def stresslet(self, b: int, flow: ComplexArray) -> Array:
+        """Stresslet (3, 3) of body b in space: sym-traceless first moment of the traction on it."""
+        body = self.bodies[b]
+        d = -self.maps[b].first_moment(flow) * body.size**2
+        d = 0.5 * (d + d.T) - np.trace(d) / 3.0 * np.eye(3)
+        return np.asarray(body.rotation @ d @ body.rotation.T)
+
+    def loaded(self, b: int, load: Array) -> tuple[Array, ComplexArray]:
+        """Motion alone (6,), map's units, of body b under a load (6,) of space; and its flow."""
+        motion = self.to_body(b, load, forces=True) / np.diag(self.maps[b].resistance)
+        return motion, np.tensordot(motion, self.rigid_flows[b], 1)
+
+
+def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
+    """Each body's least rate. Raises ContactError where a gap is not positive."""
+    least, (b, c), rates = closest(bodies, wall)
+    if least <= 0.0:
+        raise ContactError(_who(b, c), least, "they touch or overlap")
+    return rates
+
+
+def choose_nodes(
+    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, least: int = LEAST_NODES
+) -> list[int]:
+    """Polar nodes of each body. Raises ContactError where MOST_NODES do not suffice."""
+    found = [max(least, nodes_for(rate, tolerance)) for rate in check_apart(bodies, wall)]
+    if max(found) > MOST_NODES:
+        gap, (b, c), _ = closest(bodies, wall)
+        raise ContactError(
+            _who(b, c), gap, f"the tolerance {tolerance:.0e} would take {max(found)} polar nodes"
+        )
+    return found
+
+
+def _who(b: int, c: int) -> str:
+    return f"body {b + 1} and the wall" if c < 0 else f"bodies {c + 1} and {b + 1}"

@@ -1,0 +1,106 @@
+"""The coupled problem of several bodies as a PETSc shell matrix, solved by GMRES.
+
+The one-body inverses are inside the matrix (`bie.coupling`), which is the identity plus a compact
+operator. Bodies are dealt to the ranks of a communicator; at each product the ranks gather the
+coefficients of all bodies' exterior flows and each evaluates them on its own bodies.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from qbxstokes.bie.coupling import Coupled
+from qbxstokes.errors import ConvergenceError
+from qbxstokes.petsc.session import temporary_options
+
+Array = NDArray[np.float64]
+
+_RESTART = 200
+
+
+class CoupledSolver:
+    """GMRES on a coupled problem; options `-ksp_*` apply. Right-hand sides one after the other.
+
+    problem: with the bodies of this rank as its own, see `own_bodies`. free: bodies under given
+    loads, else of given motion. tolerance: of the residual relative to the data.
+    """
+
+    def __init__(
+        self, problem: Coupled, free: bool, tolerance: float = 1e-10, comm: Any = None
+    ) -> None:
+        self.problem, self.free = problem, free
+        self.comm = PETSc.COMM_SELF if comm is None else comm
+        self.iterations: list[int] = []
+        size = (problem.size, PETSc.DETERMINE)
+        self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
+        self._matrix.setUp()
+        self._ksp = ksp = PETSc.KSP().create(self.comm)
+        ksp.setOperators(self._matrix)
+        ksp.setType(PETSc.KSP.Type.GMRES)
+        ksp.setGMRESRestart(_RESTART)
+        ksp.setTolerances(rtol=tolerance, atol=1e-300, max_it=_RESTART)
+        ksp.getPC().setType(PETSc.PC.Type.NONE)
+        with temporary_options("", {}, {}):
+            ksp.setFromOptions()
+        self._solution, self._rhs = self._matrix.createVecs()
+
+    def gathered(self, flows: list[Any]) -> list[Any]:
+        """Coefficients of all bodies from those of each rank's own, in the order of the bodies."""
+        if self.comm.getSize() == 1:
+            return flows
+        parts = self.comm.tompi4py().allgather(list(zip(self.problem.rows, flows, strict=True)))
+        return [flow for _, flow in sorted((pair for part in parts for pair in part), key=_first)]
+
+    def mult(self, mat: Any, x: Any, y: Any) -> None:
+        """y = x + what arrives at each body when all send what x makes them send."""
+        problem, unknowns = self.problem, x.getArray(readonly=1)
+        flows = self.gathered(problem.flows(problem.split(unknowns), self.free))
+        arriving = problem.joined([problem.arriving(b, flows) for b in problem.rows])
+        y.setArray(unknowns + arriving)
+
+    def solve(self, data: list[Array], guess: Array | None = None) -> Array:
+        """Unknowns of the own bodies for data (N, 3) on each. Raises ConvergenceError."""
+        ksp: Any = self._ksp
+        self._rhs.setArray(self.problem.joined(data))
+        if self._rhs.norm() == 0.0:
+            return np.zeros(self.problem.size)
+        ksp.setInitialGuessNonzero(guess is not None)
+        if guess is not None:
+            self._solution.setArray(guess)
+        ksp.solve(self._rhs, self._solution)
+        self.iterations.append(ksp.getIterationNumber())
+        if ksp.getConvergedReason() <= 0:
+            left = ksp.getResidualNorm() / self._rhs.norm()
+            raise ConvergenceError(
+                f"GMRES on {len(self.problem.bodies)} coupled bodies stopped after "
+                f"{self.iterations[-1]} iterations at the relative residual {left:.1e} (reason "
+                f"{ksp.getConvergedReason()}): loosen the tolerance, or move bodies apart"
+            )
+        return np.array(self._solution.getArray(readonly=1))
+
+    def release(self) -> None:
+        """Destroy what PETSc holds."""
+        self._ksp.destroy()
+        self._matrix.destroy()
+        self._solution.destroy()
+        self._rhs.destroy()
+
+
+def _first(pair: tuple[int, Any]) -> int:
+    return pair[0]
+
+
+def own_bodies(nodes: list[int], comm: Any) -> list[int]:
+    """Bodies of this rank: the costly ones dealt first, each to the rank with least so far."""
+    load = np.zeros(comm.getSize())
+    own = []
+    for b in sorted(range(len(nodes)), key=lambda b: (-nodes[b], b)):
+        rank = int(np.argmin(load))
+        load[rank] += nodes[b] ** 4
+        if rank == comm.getRank():
+            own.append(b)
+    return sorted(own)

@@ -1,0 +1,395 @@
+"""Several bodies in one fluid, or one by a wall: resistance, mobility, motion and field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.bie.coupling import Coupled, Placed, Plane, choose_nodes
+from qbxstokes.errors import SceneError
+from qbxstokes.flows import Flow
+from qbxstokes.geometry import rotation
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
+
+Array = NDArray[np.float64]
+# Bodies above which the whole resistance is refused: six solves for each.
+MOST_RESISTANCE = 50
+# How much more closely the linear system is solved than the grids resolve.
+_SOLVER = 0.01
+
+
+class Wall:
+    """A plane wall: normal (3,) into the fluid, a point of it, and its own velocity, in its plane.
+
+    >>> import qbxstokes as qs
+    >>> qs.Wall(normal=[0, 2, 0]).normal
+    array([0., 1., 0.])
+    """
+
+    def __init__(
+        self,
+        normal: ArrayLike = (0.0, 1.0, 0.0),
+        point: ArrayLike = (0.0, 0.0, 0.0),
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        vectors = {"normal": normal, "point": point, "velocity": velocity}
+        found = {}
+        for name, given in vectors.items():
+            vector = np.asarray(given, dtype=np.float64)
+            if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+                raise SceneError(f"surroundings.{name}", f"is {given!r}", "three finite numbers")
+            found[name] = vector
+        length = float(np.linalg.norm(found["normal"]))
+        if length == 0.0:
+            raise SceneError("surroundings.normal", "has no direction", "a vector into the fluid")
+        self.normal, self.point = found["normal"] / length, found["point"]
+        self.velocity = found["velocity"]
+        through = float(self.velocity @ self.normal)
+        if abs(through) > 1e-12 * float(np.abs(self.velocity).max()):
+            raise SceneError(
+                "surroundings.velocity", "goes through the wall", "a velocity in its plane"
+            )
+
+    @property
+    def plane(self) -> Plane:
+        """The wall as the coupling sees it."""
+        return Plane(self.normal, self.point, self.velocity)
+
+    def check(self, flow: Flow, t: float = 0.0) -> None:
+        """Refuse a flow that has not the wall's velocity on the wall."""
+        across = np.linalg.svd(self.normal[None, :])[2][1:]
+        grid = np.stack(np.meshgrid([-7.0, -1.3, 0.0, 0.9, 4.0], [-5.0, -0.7, 0.4, 6.0]), axis=-1)
+        points = self.point + grid.reshape(-1, 2) @ across
+        slip = np.linalg.norm(flow.velocity(points, t) - self.velocity, axis=-1)
+        inside = np.linalg.norm(flow.velocity(points + self.normal, t), axis=-1).max()
+        scale = max(float(np.linalg.norm(self.velocity)), float(inside))
+        worst = int(np.argmax(slip))
+        if slip[worst] > 1e-9 * scale:
+            raise SceneError(
+                "flow",
+                f"slips on the wall: at {np.round(points[worst], 6).tolist()} its velocity differs "
+                f"by {slip[worst]:.3g} from the wall's",
+                "a flow with the wall's velocity on the wall, such as shear above the plane x2 = 0",
+            )
+
+
+@dataclass
+class Solution:
+    """One solved instant: each body's exterior flow, motion and load, and what the solver did.
+
+    velocity, angular_velocity, force, torque (N, 3), space frame; force and torque are exerted by
+    the bodies ON the fluid. iterations of GMRES, polar nodes of each body.
+    """
+
+    problem: Coupled
+    flows: list[Any]
+    velocity: Array
+    angular_velocity: Array
+    force: Array
+    torque: Array
+    iterations: int
+    unknowns: Array = field(repr=False)
+
+    @property
+    def nodes(self) -> list[int]:
+        """Polar nodes of each body's grid."""
+        return list(self.problem.nodes)
+
+    @property
+    def stresslet(self) -> Array:
+        """Stresslets (N, 3, 3), space frame, of the tractions on the bodies about their centres."""
+        return np.stack([self.problem.stresslet(b, flow) for b, flow in enumerate(self.flows)])
+
+
+class Suspension:
+    """Rigid spheroids in one fluid, with or without a plane wall, without inertia.
+
+    bodies: a `Body` each (their `size` is the polar radius c in scene units, 1 unless given).
+    surroundings: None or a `Wall`. tolerance: relative error to aim at; the grids follow from it
+    and from the gaps. comm: of PETSc, over whose ranks the bodies are dealt; this process if None.
+
+    >>> import numpy as np, qbxstokes as qs
+    >>> pair = qs.Suspension([qs.Body(1.0), qs.Body(1.0)])
+    >>> r = pair.resistance([[0, 0, 0], [0, 0, 3]])
+    >>> r.shape, bool(np.allclose(r, r.T))
+    ((12, 12), True)
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        surroundings: Wall | None = None,
+        *,
+        tolerance: float = 1e-8,
+        comm: Any = None,
+    ) -> None:
+        self.bodies = list(bodies)
+        if not self.bodies:
+            raise SceneError("bodies", "are none", "at least one")
+        if surroundings is not None and not isinstance(surroundings, Wall):
+            raise SceneError("surroundings", f"is {surroundings!r}", "None or a qs.Wall(...)")
+        if not 1e-12 <= tolerance <= 0.1:
+            raise SceneError("tolerance", f"is {tolerance:g}", "between 1e-12 and 0.1")
+        self.wall, self.tolerance, self.comm = surroundings, float(tolerance), comm
+
+    def __len__(self) -> int:
+        """Number of bodies."""
+        return len(self.bodies)
+
+    @property
+    def plane(self) -> Plane | None:
+        """The wall as the coupling sees it."""
+        return None if self.wall is None else self.wall.plane
+
+    def placed(self, position: ArrayLike, orientation: ArrayLike | None = None) -> list[Placed]:
+        """The bodies at centres (N, 3) with axes (N, 3) or quaternions (N, 4); None: upright."""
+        n = len(self)
+        x = np.asarray(position, dtype=np.float64)
+        turn = np.asarray((0.0, 0.0, 1.0) if orientation is None else orientation, np.float64)
+        x = x[None] if x.ndim == 1 and n == 1 else x
+        turn = np.broadcast_to(turn, (n, turn.shape[-1])) if turn.ndim == 1 else turn
+        if x.shape != (n, 3):
+            raise SceneError("position", f"has shape {x.shape}", f"shape {(n, 3)}: a centre each")
+        if turn.ndim != 2 or len(turn) != n or turn.shape[1] not in (3, 4):
+            raise SceneError(
+                "orientation", f"has shape {turn.shape}", f"shape {(n, 3)} (axes) or {(n, 4)}"
+            )
+        q = rotation.normalize(turn) if turn.shape[1] == 4 else rotation.from_axis(turn)
+        return [
+            Placed(body.aspect_ratio, body.size, centre, matrix)
+            for body, centre, matrix in zip(self.bodies, x, rotation.matrix(q), strict=True)
+        ]
+
+    # -- one instant --------------------------------------------------------------------------
+
+    def problem(self, places: list[Placed], nodes: Sequence[int] | None = None) -> Coupled:
+        """The linear problem of the bodies where they are. Raises ContactError."""
+        chosen = list(nodes or choose_nodes(places, self.plane, self.tolerance))
+        own = None
+        if self.comm is not None:
+            from qbxstokes.petsc.coupled import own_bodies
+
+            own = own_bodies(chosen, self.comm)
+        return Coupled(places, self.plane, chosen, 0.1 * self.tolerance, own)
+
+    def resistance(
+        self,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        *,
+        nodes: Sequence[int] | None = None,
+    ) -> Array:
+        """Resistance R (6N, 6N), space frame: (force, torque) by the bodies ON the fluid.
+
+        Ordered body by body, force before torque, torque about each centre. nodes: polar nodes of
+        each body, if not chosen by the gaps.
+        """
+        n = len(self)
+        if n > MOST_RESISTANCE:
+            raise SceneError("bodies", f"are {n}", f"at most {MOST_RESISTANCE} for the resistance")
+        problem = self.problem(self.placed(position, orientation), nodes)
+        columns = [unit.reshape(n, 6) for unit in np.eye(6 * n)]
+        found = self._held(problem, [(motion, None) for motion in columns])
+        return np.stack([_loads(one) for one in found], axis=1)
+
+    def mobility(self, position: ArrayLike, orientation: ArrayLike | None = None) -> Array:
+        """Mobility (6N, 6N): the inverse of the resistance."""
+        return np.linalg.inv(self.resistance(position, orientation))
+
+    def held(
+        self,
+        flow: Flow | None,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        t: float = 0.0,
+        nodes: Sequence[int] | None = None,
+    ) -> Solution:
+        """The bodies with given velocities (N, 3) or (3,) in a flow."""
+        self._check(flow, t)
+        motion = np.concatenate([self._each(velocity), self._each(angular_velocity)], axis=1)
+        problem = self.problem(self.placed(position, orientation), nodes)
+        (found,) = self._held(problem, [(motion, _velocity(flow, t))])
+        return found
+
+    def free(
+        self,
+        flow: Flow | None,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        *,
+        force: ArrayLike | None = None,
+        torque: ArrayLike | None = None,
+        t: float = 0.0,
+        guess: Array | None = None,
+        nodes: Sequence[int] | None = None,
+    ) -> Solution:
+        """The bodies under given force and torque (N, 3) or (3,) each, in a flow.
+
+        guess: the unknowns of a solution with the same nodes, to start the solver from.
+        """
+        self._check(flow, t)
+        problem = self.problem(self.placed(position, orientation), nodes)
+        loads = np.concatenate([self._each(force), self._each(torque)], axis=1)
+        return self._free(problem, loads, _velocity(flow, t), guess)
+
+    def free_motion(
+        self,
+        flow: Flow | None,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        **loads: Any,
+    ) -> tuple[Array, Array]:
+        """Velocities and angular velocities (N, 3) of the bodies without inertia; see `free`.
+
+        >>> import numpy as np, qbxstokes as qs
+        >>> pair = qs.Suspension([qs.Body(1.0), qs.Body(1.0)])
+        >>> u, _ = pair.free_motion(None, [[0, 0, 0], [3, 0, 0]], force=[0, 0, -6 * np.pi])
+        >>> bool(u[0, 2] < -1.0)  # two fall faster than one
+        True
+        """
+        found = self.free(flow, position, orientation, **loads)
+        return found.velocity, found.angular_velocity
+
+    def force_torque(
+        self,
+        flow: Flow | None,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        **motion: Any,
+    ) -> tuple[Array, Array]:
+        """Force and torque (N, 3) of the fluid ON bodies of given motion; see `held`."""
+        found = self.held(flow, position, orientation, **motion)
+        return -found.force, -found.torque
+
+    def stresslet(
+        self,
+        flow: Flow | None,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        **loads: Any,
+    ) -> Array:
+        """Stresslets (N, 3, 3) of the bodies, free but for given loads; see `free`."""
+        return self.free(flow, position, orientation, **loads).stresslet
+
+    def field(
+        self,
+        flow: Flow | None,
+        points: ArrayLike,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        **loads: Any,
+    ) -> dict[str, Array]:
+        """Velocity (P, 3) and pressure (P,) at points of space, to contact and on the wall.
+
+        source (P,): -1 for points inside a body or behind the wall, whose values are NaN, else 0.
+        The bodies are free but for the loads of `free`.
+        """
+        from qbxstokes.simulation.many import field_of
+
+        found = self.free(flow, position, orientation, **loads)
+        return field_of(found, flow, np.asarray(points, float).reshape(-1, 3), loads.get("t", 0.0))
+
+    def integrate(
+        self,
+        flow: Flow | None,
+        times: ArrayLike,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        *,
+        force: ArrayLike | None = None,
+        torque: ArrayLike | None = None,
+        tolerance: float = 1e-7,
+        least_gap: float = 0.0,
+    ) -> Any:
+        """The motion from times[0], sampled at increasing times (T,): a `SuspensionMotion`.
+
+        force, torque (N, 3) or (3,): constant, in space. tolerance: of the integrator per step. The
+        motion ends early, with its event named, where a gap falls below least_gap, or below what
+        the tolerance of the suspension can be served at.
+        """
+        from qbxstokes.simulation.many import integrate
+
+        return integrate(
+            self, flow, times, position, orientation, force, torque, tolerance, least_gap
+        )
+
+    # -- solving ------------------------------------------------------------------------------
+
+    def _solver(self, problem: Coupled, free: bool) -> Any:
+        from qbxstokes.petsc.coupled import CoupledSolver
+
+        return CoupledSolver(problem, free, _SOLVER * self.tolerance, self.comm)
+
+    def _held(self, problem: Coupled, cases: list[tuple[Array, Any]]) -> list[Solution]:
+        solver = self._solver(problem, False)
+        found = []
+        for motion, background in cases:
+            data = [problem.rigid_data(b, motion[b]) for b in problem.rows]
+            if background is not None:
+                data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
+            x = solver.solve(data)
+            flows = solver.gathered(problem.flows(problem.split(x), False))
+            loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
+            steps = solver.iterations[-1] if solver.iterations else 0
+            found.append(Solution(problem, flows, *_parts(motion), *_parts(loads), steps, x))
+        solver.release()
+        return found
+
+    def _free(
+        self, problem: Coupled, loads: Array, background: Any, guess: Array | None
+    ) -> Solution:
+        solver = self._solver(problem, True)
+        alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
+        driven = [flow for _, flow in alone]
+        data = [-problem.arriving(b, driven) for b in problem.rows]
+        if background is not None:
+            data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
+        x = solver.solve(data, guess)
+        sent, motions = [], {}
+        for b, v in zip(problem.rows, problem.split(x), strict=True):
+            c, own = problem.alone(b, v)
+            motion = problem.to_space(b, alone[b][0] - own)
+            sent.append((driven[b] + c - np.tensordot(own, problem.rigid_flows[b], 1), motion))
+        sent = solver.gathered(sent)
+        motions = np.stack([motion for _, motion in sent])
+        steps = solver.iterations[-1] if solver.iterations else 0
+        solver.release()
+        flows = [flow for flow, _ in sent]
+        return Solution(problem, flows, *_parts(motions), *_parts(loads), steps, x)
+
+    def _each(self, vectors: ArrayLike | None) -> Array:
+        given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
+        try:
+            return np.array(np.broadcast_to(given, (len(self), 3)))
+        except ValueError:
+            raise SceneError(
+                "bodies", f"got vectors of shape {given.shape}", f"shape {(len(self), 3)} or (3,)"
+            ) from None
+
+    def _check(self, flow: Flow | None, t: float) -> None:
+        if self.wall is not None:
+            if flow is not None:
+                self.wall.check(flow, t)
+            elif self.wall.velocity.any():
+                raise SceneError("flow", "is none by a moving wall", "a flow with its velocity")
+
+
+def _velocity(flow: Flow | None, t: float) -> Any:
+    return None if flow is None else lambda points: flow.velocity(points, t)
+
+
+def _parts(pairs: Array) -> tuple[Array, Array]:
+    return pairs[:, :3], pairs[:, 3:]
+
+
+def _loads(found: Solution) -> Array:
+    return np.concatenate([found.force, found.torque], axis=1).ravel()

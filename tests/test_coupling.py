@@ -1,0 +1,197 @@
+"""Several bodies and a wall against exact series for spheres and the laws that hold exactly."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import qbxstokes as qs
+from qbxstokes.bie.coupling import Placed, closest
+from qbxstokes.bie.scatterer import scatterer
+from qbxstokes.errors import ContactError, SceneError
+from qbxstokes.geometry import rotation
+from qbxstokes.reference.bispherical import Bispherical, brenner, near_wall
+
+UP = qs.Wall(normal=[0.0, 0.0, 1.0])
+
+
+def test_bispherical_series_have_the_published_values() -> None:
+    # Brenner (1961); Goldman, Cox & Brenner (1967), tables 1 and 2; Jeffrey & Onishi (1984).
+    assert near_wall(1.1)["normal"] == pytest.approx(11.4591572, abs=1e-7)
+    assert near_wall(1.1)["normal"] == pytest.approx(brenner(1.1), rel=1e-12)
+    found = near_wall(1.5430806)
+    assert found["parallel"] == pytest.approx(1.567459, abs=1e-6)
+    assert found["rotation_parallel"] == pytest.approx(1.0998, abs=1e-4)
+    assert found["shear_force"] == pytest.approx(1.4391, abs=1e-4)
+    assert found["shear_torque"] == pytest.approx(0.97419, abs=4e-5)
+    # Far apart: the leading reflections, 1 + 9/(4 s^2) and -3/(2 s) with s = 20.
+    pair = Bispherical(1.0, 1.0, 18.0).along() / (6.0 * np.pi)
+    assert pair[0, 0] == pytest.approx(1.0 + 9.0 / 4.0 / 400.0, abs=5e-5)
+    assert pair[0, 1] == pytest.approx(-1.5 / 20.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("k", [0.2, 0.5, 1.0, 2.0])
+def test_a_body_alone_is_the_law_of_the_integral_equation(k: float) -> None:
+    one = qs.Suspension([qs.Body(k)])
+    axis = np.array([0.6, 0.0, 0.8])
+    r = one.resistance([[1.0, 2.0, 3.0]], [axis])
+    turn = np.kron(np.eye(2), rotation.matrix(rotation.from_axis(axis)))
+    assert np.allclose(r, turn @ qs.Body(k).resistance @ turn.T, rtol=0, atol=1e-9 * r.max())
+    flow = qs.flow("shear") + qs.flow("paraboloid", curvature=0.3)
+    u, w = one.free_motion(flow, [[0.1, 0.4, -0.3]], [axis])
+    exact = qs.Body(k).free_motion(flow, [0.1, 0.4, -0.3], axis)
+    assert np.allclose([u[0], w[0]], exact, atol=1e-9)
+    s = one.stresslet(qs.flow("shear"), [[0.0, 0.0, 0.0]], [axis])[0]
+    assert np.allclose(s, qs.Body(k).stresslet(qs.flow("shear"), orientation=axis), atol=1e-8)
+
+
+@pytest.mark.parametrize("height", [1.5430806, 3.0, 10.0])
+def test_a_sphere_by_a_wall_is_the_series(height: float) -> None:
+    exact = near_wall(height)
+    wall = qs.Suspension([qs.Body(1.0)], qs.Wall(), tolerance=1e-9)
+    # The wall's normal is x2; the sphere's axis is of no account.
+    r = wall.resistance([[0.3, height, 0.0]], [[1.0, 0.0, 1.0]])
+    six, eight = 6.0 * np.pi, 8.0 * np.pi
+    assert r[1, 1] == pytest.approx(six * exact["normal"], rel=1e-10)
+    assert r[0, 0] == pytest.approx(six * exact["parallel"], rel=1e-10)
+    assert r[3, 3] == pytest.approx(eight * exact["rotation_parallel"], rel=1e-10)
+    assert r[4, 4] == pytest.approx(eight * exact["rotation_normal"], rel=1e-10)
+    assert r[2, 3] == pytest.approx(six * exact["coupling"], rel=1e-7)
+    assert np.allclose(r, r.T, atol=1e-9)
+    force, torque = wall.force_torque(qs.flow("shear"), [[0.3, height, 0.0]])
+    assert force[0, 0] == pytest.approx(six * height * exact["shear_force"], rel=1e-10)
+    assert torque[0, 2] == pytest.approx(-4.0 * np.pi * exact["shear_torque"], rel=1e-10)
+
+
+@pytest.mark.parametrize(("second", "gap"), [(1.0, 0.5), (0.5, 0.6)])
+def test_two_spheres_are_the_series(second: float, gap: float) -> None:
+    bodies = [qs.Body(1.0, size=second), qs.Body(1.0)]
+    pair = qs.Suspension(bodies, tolerance=1e-9)
+    r = pair.resistance([[0, 0, 0], [0, 0, 1.0 + second + gap]], [[1, 0, 0], [0, 1, 1]])
+    series = Bispherical(1.0, second, gap)
+    along, across, about = ([8, 2], [6, 10, 0, 4], [11, 5])
+    for rows, exact in (
+        (along, series.along()),
+        (across, series.across()),
+        (about, series.about()),
+    ):
+        assert np.allclose(r[np.ix_(rows, rows)], exact, rtol=0, atol=3e-9 * np.abs(exact).max())
+
+
+def test_any_scene_has_a_symmetric_positive_resistance_that_the_mobility_inverts() -> None:
+    rng = np.random.default_rng(3)
+    scene = qs.Suspension([qs.Body(0.5), qs.Body(2.0, size=0.5), qs.Body(0.3)], UP, tolerance=1e-6)
+    x = np.array([[0.0, 0.0, 1.6], [2.4, 0.3, 1.8], [-0.5, 2.6, 1.9]])
+    axes = rng.normal(size=(3, 3))
+    r = scene.resistance(x, axes)
+    assert np.abs(r - r.T).max() < 1e-6 * np.abs(r).max()
+    assert np.linalg.eigvalsh(r + r.T).min() > 0.0
+    load = rng.normal(size=(3, 6))
+    u, w = scene.free_motion(None, x, axes, force=load[:, :3], torque=load[:, 3:])
+    assert np.allclose(r @ np.concatenate([u, w], 1).ravel(), load.ravel(), atol=1e-5)
+
+
+def test_no_slip_holds_on_the_wall_and_between_the_nodes() -> None:
+    scene = qs.Suspension([qs.Body(0.5), qs.Body(1.0, size=0.7)], UP, tolerance=1e-8)
+    x, axes = [[0.0, 0.0, 1.2], [2.2, 0.0, 1.4]], [[0.8, 0.0, 0.6], [0.0, 0.0, 1.0]]
+    strain = qs.flow("polynomial", gradient=[[0, 0, 1], [0, 0, 0], [0, 0, 0]])
+    plane = np.array([[0.3, 0.2, 0.0], [1.0, -1.0, 0.0], [-4.0, 2.0, 0.0]])
+    found = scene.field(strain, plane, x, axes, force=[0.0, 0.0, -1.0])
+    assert np.abs(found["velocity"]).max() < 1e-13
+    solution = scene.free(strain, x, axes, force=[0.0, 0.0, -1.0])
+    theta, phi = np.array([0.3, 1.1, 2.9]), np.array([0.1, 2.0, 5.5])
+    arm = scene.bodies[0].spheroid.surface(theta, phi) @ solution.problem.bodies[0].rotation.T
+    field = scene.field(strain, x[0] + (1 + 1e-13) * arm, x, axes, force=[0.0, 0.0, -1.0])
+    rigid = solution.velocity[0] + np.cross(solution.angular_velocity[0], arm)
+    assert np.abs(field["velocity"] - rigid).max() < 1e-6
+    assert field["source"].min() >= 0
+
+
+def test_far_wall_and_far_bodies_leave_the_leading_image() -> None:
+    body = qs.Body(0.5)
+    alone = body.resistance[2, 2]
+    for height in (20.0, 40.0):
+        r = qs.Suspension([body], UP).resistance([[0, 0, height]])[2, 2]
+        # The image of a stokeslet pulls back with 9/(8 h) of 1/(6 pi).
+        assert r / alone - 1.0 == pytest.approx(alone / (6 * np.pi) * 9 / (8 * height), rel=0.1)
+    pair = qs.Suspension([body, body])
+    u, _ = pair.free_motion(None, [[0, 0, 0], [50.0, 0, 0]], force=[0, 0, -1.0])
+    assert -u[0, 2] == pytest.approx(1 / alone + 1 / (8 * np.pi * 50.0), rel=1e-4)
+
+
+def test_gaps_are_those_of_geometry() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        axes = rotation.matrix(rotation.random_quaternions(2, rng))
+        bodies = [
+            Placed(0.3, 1.0, np.zeros(3), axes[0]),
+            Placed(2.0, 0.8, np.array([3.0, 1, 1]), axes[1]),
+        ]
+        gap = closest(bodies, None)[0]
+        theta, phi = np.meshgrid(np.linspace(0, np.pi, 40), np.linspace(0, 2 * np.pi, 80))
+        a, b = (
+            one.position
+            + one.size
+            * qs.Spheroid(one.aspect_ratio).surface(theta, phi).reshape(-1, 3)
+            @ one.rotation.T
+            for one in bodies
+        )
+        least = math.sqrt(min(np.min(np.sum((b - p) ** 2, axis=1)) for p in a))
+        assert gap <= least + 1e-12
+        assert gap == pytest.approx(least, abs=1e-2)
+
+
+def test_what_cannot_be_served_is_told() -> None:
+    two = qs.Suspension([qs.Body(1.0)] * 2, UP)
+    with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -0\.5"):
+        two.resistance([[0, 0, 3], [1.5, 0, 3]])
+    with pytest.raises(ContactError, match=r"body 1 and the wall: the gap is 0\.0001"):
+        two.resistance([[0, 0, 1.0001], [4, 0, 3]])
+    with pytest.raises(SceneError, match="slips on the wall"):
+        two.free_motion(qs.flow("shear"), [[0, 0, 2], [4, 0, 3]])
+    with pytest.raises(SceneError, match="goes through the wall"):
+        qs.Wall(normal=[0, 0, 1], velocity=[0, 0, 1])
+    with pytest.raises(SceneError, match="position has shape"):
+        two.resistance([[0, 0, 3]])
+
+
+def test_exterior_maps_are_those_of_the_field() -> None:
+    one = scatterer(0.5, 12)
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(20, 3))
+    x *= (rng.uniform(1.2, 3.0, 20) / np.linalg.norm(x, axis=1))[:, None]
+    v = np.tensordot(rng.normal(size=6), one.rigid, 1) + one.grid.points[:, [1, 2, 0]] ** 3
+    u, p, stress = one._map.flow(v).evaluate(x)
+    gradient = one.table(x, one.harmonics.degree, True).all(one.coefficients(v))
+    assert np.allclose(gradient[0], u, atol=1e-12)
+    assert np.allclose(gradient[2], p, atol=1e-12)
+    shear = gradient[1][:, 0, 2] + gradient[1][:, 2, 0]
+    assert np.allclose(shear, stress[:, 4], atol=1e-12)
+
+
+def test_two_equal_spheres_fall_side_by_side_and_reversed_motion_returns() -> None:
+    pair = qs.Suspension([qs.Body(1.0)] * 2, tolerance=1e-5)
+    x = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    down = pair.integrate(None, [0.0, 0.5, 1.0], x, force=[0.0, 0.0, -6 * np.pi])
+    assert down.position.shape == (3, 2, 3)
+    assert down.ended_by is None
+    assert np.allclose(down.position[-1, :, 0], x[:, 0], atol=1e-7)
+    across = Bispherical(1.0, 1.0, 2.0).across()
+    speed = np.linalg.solve(across, [1.0, 0.0, 1.0, 0.0])[0] * 6 * np.pi
+    assert down.position[-1, 0, 2] == pytest.approx(-speed, rel=1e-5)
+    back = pair.integrate(
+        None, [0.0, 1.0], down.position[-1], down.quaternion[-1], force=[0.0, 0.0, 6 * np.pi]
+    )
+    assert np.allclose(back.position[-1], x, atol=1e-7)
+
+
+def test_a_motion_ends_at_the_wall_by_name() -> None:
+    one = qs.Suspension([qs.Body(1.0)], UP, tolerance=1e-3)
+    fall = one.integrate(
+        None, [0.0, 50.0], [[0, 0, 1.8]], force=[0, 0, -30.0], tolerance=1e-4, least_gap=0.6
+    )
+    assert fall.ended_by == "clearance"
+    assert "body 1 and the wall" in fall.message
+    assert fall.gap[-1] == pytest.approx(0.6, abs=1e-6)
