@@ -95,6 +95,7 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "angles": ("body to space", (3,), _ANGLES, _ANGLE_SYMBOLS),
     "tensor": ("space", (6,), _PAIRS, tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS)),
     "matrix": ("body", (6, 6), (), ()),
+    "square": ("space", (3, 3), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
     "four": ("", (4,), ("0", "1", "2", "3"), ()),
     "numbers": ("", (4,), ("0", "1", "2", "1_held"), ("S_0", "S_1", "S_2", "S_1^{held}")),
@@ -245,6 +246,27 @@ expansion_order | p           | 1 | order of the expansions
 nodes           |             | 1 | nodes on the surface
 """),
 }
+
+# Of a suspension: at each Peclet number and each instant, in units of mu times the rate.
+RHEOLOGY = _table(r"""
+peclet_number | \mathrm{Pe} | 1 | rate of the flow over rotary diffusivity, infinite without it
+   || Peclet number $\mathrm{Pe}$
+intrinsic_viscosity | [\eta] | 1 | particle stress along E over volume fraction and rate
+   || intrinsic viscosity $[\eta]$
+first_normal_stress_difference  | N_1 | 1 | Sigma_11 - Sigma_22 over volume fraction, mu and rate
+second_normal_stress_difference | N_2 | 1 | Sigma_22 - Sigma_33 over volume fraction, mu and rate
+particle_stress | \Sigma | 1 | particle stress over volume fraction, mu and rate | square
+hydrodynamic_stress | \Sigma^H | 1 | its part from the mean stresslet | square
+brownian_stress | \Sigma^B | 1 | its part from rotary Brownian motion | square
+order_tensor | \langle pp\rangle | 1 | mean of the products of the axis' components | square
+error_estimate | | 1 | estimated relative error of the stress
+theta | \vartheta | rad | angle from e3 of the distribution's axes
+phi | \varphi | rad | angle from e1 about e3 of the distribution's axes
+distribution | \psi | 1 | density of axes on the unit sphere, by theta and phi, of integral 1
+strain | \gamma | 1 | strain of an oscillation
+strain_rate | \dot\gamma | 1 | rate of an oscillation over its amplitude
+""")
+STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
 
 STATUS = _table("""
 status | | | 0 missing, 1 done, 2 failed

@@ -64,6 +64,7 @@ def plan_of(loaded: LoadedCase) -> Plan:
         "motion": make_plan,
         "body": plan_body,
         "field": plan_field,
+        "rheology": plan_rheology,
     }
     if loaded.space is None and not loaded.case.output.merge:
         raise loaded.error("output.merge", "only a sweep has parts to show", "leave it out")
@@ -167,6 +168,24 @@ def plan_body(loaded: LoadedCase) -> Plan:
     if case.compare.reference == "none":
         skips.append("comparison with closed forms (as asked)")
     return Plan(scene, tuple(needs), tuple(skips))
+
+
+def plan_rheology(loaded: LoadedCase) -> Plan:
+    """Plan of `task: rheology`; raises CaseError for what the schema alone cannot see."""
+    case = loaded.case
+    section = case.rheology
+    assert section is not None  # the schema makes one of defaults
+    with pointed(loaded):
+        scene = start_of(loaded)
+        scene.check()
+    finite = [number for number in section.peclet_number if np.isfinite(number)]
+    needs = ["the stresslet of the body: three adjoint solves, in the modes 0, 1 and 2"]
+    if finite:
+        needs.append("densities of orientations by spherical harmonics, as many as the stress asks")
+    if len(finite) < len(section.peclet_number):
+        needs.append("orbits without Brownian motion, by closed forms and equal steps of the phase")
+    skips = ["motions of single bodies: densities of orientations take their place"]
+    return Plan(scene, tuple(needs), (*skips, *_skips_of_body(case)))
 
 
 def plan_field(loaded: LoadedCase) -> FieldPlan:

@@ -12,17 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.rheology.distribution import Distribution
-from qbxstokes.rheology.fokker_planck import (
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.suspension import orbits
+from qbxstokes.suspension.distribution import Distribution
+from qbxstokes.suspension.fokker_planck import (
     Evolution,
     Transport,
     converged,
     first_degree,
     isotropic,
 )
-from qbxstokes.rheology.particle import LinearFlow, Particle
-from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.suspension.orbits import Starts
+from qbxstokes.suspension.particle import LinearFlow, Particle
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -44,7 +46,9 @@ class Rheology:
     hydrodynamic_stress + brownian_stress; intrinsic_viscosity = Sigma:E/(2 E:E), Sigma_12 of a
     shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over rate, NaN in other flows;
     order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a steady state. distribution:
-    one or a list of them; the last one of a transient. error_estimate: relative, of the stress.
+    one or a list of them; the last one of a transient; None without
+    Brownian motion where the orientations are not isotropic at first, or come to a single one.
+    error_estimate: relative, of the stress.
     """
 
     peclet_number: Array
@@ -98,17 +102,21 @@ def rheology(
     times: ArrayLike | None = None,
     amplitude: float | None = None,
     frequency: float | None = None,
+    orientations: ArrayLike | str = "isotropic",
+    weights: ArrayLike | None = None,
     tolerance: float = 1e-8,
     position: ArrayLike = (0.0, 0.0, 0.0),
     workshop: Workshop | None = None,
 ) -> Rheology:
-    """Stress of a dilute suspension of a body in a homogeneous flow, with rotary Brownian motion.
+    """Stress of a dilute suspension of a body in a homogeneous flow.
 
-    peclet_number: the flow's rate sqrt(2 E:E) over the rotary diffusivity, a number or (n,).
-    protocol: "steady"; "startup" of the flow from rest, with isotropic orientations; "cessation" of
-    the steady flow; "oscillation" with the strain amplitude sin(w t), in its periodic state: give
-    the strain amplitude or w, the other one is rate/that. times: in units of 1/rate. tolerance: of
-    the stress, relative.
+    peclet_number: the flow's rate sqrt(2 E:E) over the rotary diffusivity, a number or (n,);
+    infinite: without Brownian motion, where the axes remember how they were at the start, that is
+    orientations: "isotropic", or axes (n, 3) with weights (n,). A steady state is then a mean over
+    a long time. protocol: "steady"; "startup" of the flow from rest, with isotropic orientations;
+    "cessation" of the steady flow; "oscillation" with the strain amplitude sin(w t), in its
+    periodic state: give the strain amplitude or w, the other one is rate/that. times: in units of
+    1/rate. tolerance: of the stress, relative.
 
     >>> import numpy as np, qbxstokes as qs
     >>> found = qs.rheology(qs.Body(0.2), qs.flow("shear"), peclet_number=[1e-4, 1.0, 100.0])
@@ -120,15 +128,19 @@ def rheology(
     if not 1e-12 <= tolerance <= 0.1:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
     numbers = np.asarray(peclet_number, dtype=np.float64)
-    if numbers.ndim > 1 or not np.all(numbers > 0.0) or not np.all(np.isfinite(numbers)):
+    if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
         raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
+    starts = _starts(orientations, weights, numbers)
+    if np.any(body.stokes_number):
+        right = "0: record particle_stress in the motion of an inertial body"
+        raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
     homogeneous = linear_flow(flow, position)
     particle, error = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
     cycle = _frequency(protocol, amplitude, frequency, homogeneous.rate)
     instants = _instants(protocol, times, cycle)
     found = [
-        _one(transport, particle, float(peclet), protocol, instants, cycle, tolerance)
+        _one(transport, particle, float(peclet), protocol, instants, cycle, starts, tolerance)
         for peclet in np.atleast_1d(numbers)
     ]
     stacked = {
@@ -155,8 +167,31 @@ def rheology(
             "viscosity_at_rest": particle.viscosity_at_rest,
             "viscosity_of_isotropic": particle.viscosity_of_isotropic,
             "frequency": cycle,
+            "stresslet_numbers": particle.stresslet.tolist(),
         },
     )
+
+
+def _starts(orientations: ArrayLike | str, weights: ArrayLike | None, numbers: Array) -> Starts:
+    """How the axes are at the start, which only those without Brownian motion remember."""
+    if isinstance(orientations, str):
+        if orientations != "isotropic" or weights is not None:
+            right = "isotropic, or axes (n, 3) with weights (n,)"
+            raise SceneError("orientations", f"are {orientations}", right)
+        return Starts()
+    if np.any(np.isfinite(numbers)):
+        right = "peclet_number: inf, or isotropic orientations"
+        raise SceneError("orientations", "are forgotten by Brownian motion", right)
+    axes = np.atleast_2d(np.asarray(orientations, dtype=np.float64))
+    lengths = np.linalg.norm(axes, axis=-1)
+    if axes.ndim != 2 or axes.shape[1] != 3 or not len(axes) or not np.all(lengths > 0.0):
+        raise SceneError("orientations", f"have shape {axes.shape}", "axes (n, 3), none of them 0")
+    share = None if weights is None else np.asarray(weights, dtype=np.float64)
+    if share is not None and (
+        share.shape != (len(axes),) or np.any(share < 0.0) or not share.any()
+    ):
+        raise SceneError("weights", f"have shape {share.shape}", f"({len(axes)},), none below 0")
+    return Starts(axes / lengths[:, None], share)
 
 
 def _frequency(
@@ -199,9 +234,12 @@ def _one(
     protocol: str,
     instants: Array | None,
     cycle: float | None,
+    starts: Starts,
     tolerance: float,
 ) -> dict[str, Any]:
     """Stresses, moments and distribution at one Peclet number."""
+    if np.isinf(peclet):
+        return _without_diffusion(transport, particle, protocol, instants, cycle, starts, tolerance)
     diffusivity, strain = 1.0 / peclet, transport.flow.strain
 
     def described(
@@ -254,6 +292,45 @@ def _one(
         return described(second, fourth, strength, last, degree)
 
     start = first_degree(peclet, particle.linear)
+    compute: Callable[[int], tuple[dict[str, Any], Array]]
     compute = steady if protocol == "steady" else transient
     parts, _, change = converged(compute, start, tolerance)
     return {**parts, "error_estimate": np.array(change)}
+
+
+def _without_diffusion(
+    transport: Transport,
+    particle: Particle,
+    protocol: str,
+    instants: Array | None,
+    cycle: float | None,
+    starts: Starts,
+    tolerance: float,
+) -> dict[str, Any]:
+    """The same without Brownian motion: where the axes are follows from the strain alone."""
+    strain, matrix = transport.flow.strain, transport.matrix
+    change, strength = 0.0, np.ones(())
+    if instants is None or protocol == "cessation":
+        (second, fourth), change, strains = orbits.long_time(matrix, starts, tolerance)
+        if instants is not None:
+            strength = np.zeros(len(instants))
+            second = np.broadcast_to(second, (len(instants), 3, 3))
+            fourth = np.broadcast_to(fourth, (len(instants), 3, 3, 3, 3))
+    else:
+        strains = instants
+        if cycle is not None:
+            strains, strength = np.sin(cycle * instants) / cycle, np.cos(cycle * instants)
+        second, fourth = orbits.transient(matrix, strains, starts)
+        strains = strains[-1:]
+    distribution = None
+    if starts.axes is None and len(strains):
+        distribution = orbits.advected(matrix, strains)
+    flowing = particle.hydrodynamic_stress(second, fourth, strength[..., None, None] * strain)
+    return {
+        "hydrodynamic_stress": flowing,
+        "brownian_stress": np.zeros_like(flowing),
+        "order_tensor": second,
+        "distribution": distribution,
+        "degree": 0,
+        "error_estimate": np.array(change),
+    }
