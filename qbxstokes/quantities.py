@@ -94,6 +94,7 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "quaternion": ("body to space", (4,), ("0", *_XYZ), ()),
     "angles": ("body to space", (3,), _ANGLES, _ANGLE_SYMBOLS),
     "tensor": ("space", (6,), _PAIRS, tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS)),
+    "stresses": ("space", (6,), _PAIRS, ()),
     "matrix": ("body", (6, 6), (), ()),
     "square": ("space", (3, 3), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
@@ -119,6 +120,16 @@ torque           | M      | mu c^3/tau | hydrodynamic torque on the body   | vec
 euler_angles     | \mathrm{angle} | rad | phi, theta, psi of R3 R1 R3      | angles
 orbit_constant | C | 1 | Jeffery's orbit constant in the shear at the start: infinite when tumbling
 """)
+
+# Of a motion as well, where it is asked for: what the body adds to the stress of a suspension. The
+# last three are per volume fraction, in units of mu times the rate sqrt(2 E:E) at the centre.
+STRESS = _table(r"""
+stresslet           | S        | mu c^3/tau | stresslet, with that of the torque       | stresses
+particle_stress     | \Sigma   | 1 | stress over volume fraction, mu and rate, all parts | stresses
+acceleration_stress | \Sigma^A | 1 | its part from the particle's acceleration           | stresses
+reynolds_stress     | \Sigma^R | 1 | its part from the particle's motion past the flow   | stresses
+""")
+RECORDABLE = MOTION | STRESS
 
 # Of an event, in the order in which they are recorded; half-turns have some more.
 EVENT = {

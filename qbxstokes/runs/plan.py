@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.quantities import MOTION
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS
 from qbxstokes.runs.field_targets import targets_of
 from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
@@ -54,7 +54,7 @@ class MotionPlan(Plan):
     @property
     def bytes_on_disk(self) -> int:
         """Size of the samples in the result file."""
-        numbers = 1 + sum(MOTION[name].size for name in self.quantities)
+        numbers = 1 + sum(RECORDABLE[name].size for name in self.quantities)
         return 8 * numbers * len(self.times)
 
 
@@ -86,7 +86,7 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
     quantities = tuple(name for name in MOTION if simple or name != "orbit_constant")
     if case.output.fields is not None:
         for index, name in enumerate(case.output.fields):
-            if name not in quantities:
+            if name not in (*quantities, *STRESS):
                 raise loaded.error(
                     ("output", "fields", index),
                     f"{name} exists in a simple shear only, which the flow at the start is not",
