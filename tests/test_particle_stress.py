@@ -72,7 +72,7 @@ def test_recorded_in_files_and_sweeps() -> None:
         result.particle_stress, components(motion.particle_stress), atol=1e-9
     )
     assert "acceleration_stress" not in result.names
-    swept = qs.sweep(case, [{"body.stokes_number": [1.0, 2.0]}])
+    swept = qs.sweep(case, {"body.stokes_number": [1.0, 2.0]})
     assert swept.stresslet.shape == (2, 6, 6)
     np.testing.assert_allclose(swept.stresslet[1], result.stresslet, atol=1e-8)
     assert "stresslet" not in qs.run({**case, "output": {}}).names
@@ -88,6 +88,7 @@ def test_any_flow() -> None:
 
 
 def qs_matrix(q: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) of a quaternion."""
     from qbxstokes.geometry import rotation
 
     return rotation.matrix(q[None])[0]
