@@ -76,7 +76,8 @@ class Moment:
     def stresslet(self) -> Array:
         """Stresslets (n, 6), those of hydrodynamic torques included."""
         torque = None if self.equations.free_of_torque else self.force_torque[1]
-        return self.stress.stresslet(self.t, self.states, torque)
+        x = self.states[:, POSITION]
+        return self.stress.stresslet(self.t, x, self.orientation, self.axis, torque)
 
     @cached_property
     def inertial(self) -> tuple[Array, Array]:

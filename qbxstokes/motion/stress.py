@@ -27,8 +27,11 @@ _UNIT: Array = np.eye(3)
 class StressSource(Protocol):
     """What knows the stresslets of the lanes of a scene, and the flow's gradient there."""
 
-    def stresslet(self, t: float, states: Array, torque: Array | None) -> Array:
-        """S (n, 6) in space in the states (n, n_state); torque: hydrodynamic, (n, 3)."""
+    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Array | None) -> Array:
+        """S (n, 6) in space, positions x (n, 3), unit quaternions q (n, 4) and axes p (n, 3).
+
+        torque: hydrodynamic, (n, 3), None where there is none.
+        """
 
     def gradient(self, t: float, states: Array) -> Array:
         """Velocity gradient (n, 3, 3) of the background flow at the centres."""

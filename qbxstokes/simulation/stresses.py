@@ -94,11 +94,10 @@ class FreeStress:
         """Velocity gradient (n, 3, 3) of the flow at positions x (n, 3)."""
         return np.asarray(self._flow.gradient(x, t))
 
-    def __call__(self, t: float, x: Array, q: Array) -> Array:
-        """S (n, 6) in space at positions x (n, 3), orientations q (n, 4)."""
+    def __call__(self, t: float, x: Array, q: Array, axis: Array) -> Array:
+        """S (n, 6) in space at positions x (n, 3), quaternions q (n, 4), axes (n, 3)."""
         if self._polynomial is None:
             return components(self._grid.stresslet(t, x, q))
-        axis = rotation.axis(q)
         strain = mean_strain(self._polynomial, x, axis, self._k)
         return stresslets(self.stresslet.numbers, axis, strain).T
 
@@ -142,15 +141,17 @@ class SceneStress:
         for free, lanes in self._parts:
             yield free, numbers[:, lanes].ravel()
 
-    def stresslet(self, t: float, states: Array, torque: Array | None) -> Array:
-        """S (n, 6) in space in the states (n, n_state); torque: hydrodynamic, (n, 3)."""
-        x, q = states[:, POSITION], rotation.normalize(states[:, ORIENTATION])
-        found = np.empty((len(states), 6))
-        for free, chosen in self._chosen(len(states)):
-            found[chosen] = free(t, x[chosen], q[chosen])
+    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Array | None) -> Array:
+        """S (n, 6) in space, positions x (n, 3), unit quaternions q (n, 4) and axes p (n, 3).
+
+        torque: hydrodynamic, (n, 3), None where there is none.
+        """
+        found = np.empty((len(x), 6))
+        for free, chosen in self._chosen(len(x)):
+            found[chosen] = free(t, x[chosen], q[chosen], p[chosen])
         if torque is not None:
-            linear = np.tile(self._linear, len(states) // len(self._linear))
-            found += torque_stresslets(linear, rotation.axis(q), torque)
+            linear = np.tile(self._linear, len(x) // len(self._linear))
+            found += torque_stresslets(linear, p, torque)
         return found
 
 
@@ -179,5 +180,8 @@ def body_stresslet(
     )
     assembled = scene.assemble(t=t)
     stress = SceneStress.of(assembled)
-    torque = assembled.equations.force_torque(t, assembled.initial)[1] if held or pushed else None
-    return scene.shaped(symmetric(stress.stresslet(t, assembled.initial, torque)))
+    states = assembled.initial
+    torque = assembled.equations.force_torque(t, states)[1] if held or pushed else None
+    q = rotation.normalize(states[:, ORIENTATION])
+    found = stress.stresslet(t, states[:, POSITION], q, rotation.axis(q), torque)
+    return scene.shaped(symmetric(found))
