@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.motion.stress import symmetric
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.suspension import langevin as brownian
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.fokker_planck import (
@@ -334,3 +336,80 @@ def _without_diffusion(
         "degree": 0,
         "error_estimate": np.array(change),
     }
+
+
+@dataclass(frozen=True)
+class BrownianAverages:
+    """Means over trajectories and time, each with its standard error, as (mean, error).
+
+    Units and meanings as in `Rheology`; order_tensor is a pair of (3, 3).
+    """
+
+    intrinsic_viscosity: tuple[float, float]
+    first_normal_stress_difference: tuple[float, float]
+    second_normal_stress_difference: tuple[float, float]
+    order_tensor: tuple[Array, Array]
+    trajectories: int
+    step: float
+
+
+def langevin(
+    body: Body,
+    flow: Flow,
+    peclet_number: float = 10.0,
+    *,
+    trajectories: int = 4096,
+    strain: float = 50.0,
+    step: float | None = None,
+    seed: int = 0,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+) -> BrownianAverages:
+    """The steady stress of `rheology` from Langevin trajectories: a second, independent way.
+
+    trajectories: how many, from isotropic orientations. strain: over which each is averaged, after
+    three relaxation times 1/(6 D) or a fifth of it. step: in units of 1/rate; the bias is of its
+    second order. The random numbers of a trajectory depend on seed, its number and the step alone.
+
+    >>> import qbxstokes as qs
+    >>> body, shear = qs.Body(0.2), qs.flow("shear")
+    >>> mean, error = qs.langevin(body, shear, 10.0, trajectories=256).intrinsic_viscosity
+    >>> exact = qs.rheology(body, shear, 10.0).intrinsic_viscosity
+    >>> bool(abs(mean - exact) < 4.0 * error)
+    True
+    """
+    if not 0.0 < peclet_number < np.inf:
+        raise SceneError("peclet_number", f"is {peclet_number:g}", "positive and finite")
+    if trajectories < 2:
+        raise SceneError("trajectories", f"are {trajectories}", "2 or more, to tell an error")
+    homogeneous = linear_flow(flow, position)
+    particle, _ = particle_of(body)
+    diffusivity = 1.0 / peclet_number
+    longest = brownian.longest_step(diffusivity)
+    chosen = min(0.05, 0.05 * longest) if step is None else step
+    if not 0.0 < chosen <= longest:
+        raise SceneError("step", f"is {chosen:g}", f"more than 0, at most {longest:g}")
+    if not strain >= chosen:
+        raise SceneError("strain", f"is {strain:g}", f"more than the step, {chosen:g}")
+    wait = max(0.5 / diffusivity, 0.2 * strain)
+    found = brownian.simulate(
+        Transport(homogeneous, particle.linear),
+        particle,
+        diffusivity,
+        range(trajectories),
+        chosen,
+        max(1, round(strain / chosen)),
+        round(wait / chosen),
+        seed,
+    )
+    functions = homogeneous.material_functions(symmetric(found.stress))
+
+    def averaged(values: Array) -> tuple[Any, Any]:
+        error = values.std(axis=0, ddof=1) / np.sqrt(trajectories)
+        return values.mean(axis=0)[()], error[()]
+
+    return BrownianAverages(
+        **{name: averaged(values) for name, values in functions.items()},
+        order_tensor=averaged(symmetric(found.order)),
+        trajectories=trajectories,
+        step=chosen,
+    )
