@@ -7,20 +7,17 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stresslet
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.geometry import rotation
-from qbxstokes.motion.equations import Loads
-from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.stress import (
     components,
     mean_strain,
     stresslets,
-    symmetric,
     torque_stresslets,
 )
 from qbxstokes.simulation.hydrodynamics import (
@@ -30,7 +27,6 @@ from qbxstokes.simulation.hydrodynamics import (
     solver_factory,
     solver_tolerance,
 )
-from qbxstokes.simulation.simulation import ORIGIN, Simulation
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
@@ -153,35 +149,3 @@ class SceneStress:
             linear = np.tile(self._linear, len(x) // len(self._linear))
             found += torque_stresslets(linear, p, torque)
         return found
-
-
-def body_stresslet(
-    body: Body,
-    flow: Flow,
-    position: ArrayLike,
-    orientation: ArrayLike,
-    motion: tuple[ArrayLike | None, ArrayLike | None],
-    loads: tuple[ArrayLike | None, ArrayLike | None],
-    t: float,
-) -> Array:
-    """`Body.stresslet`: motion is (velocity, angular velocity), loads (force, torque)."""
-    # With inertia the velocities are part of the state, whatever the Stokes number.
-    held = any(u is not None for u in motion)
-    velocity, spin = (ORIGIN if held and u is None else u for u in motion)
-    pushed = any(f is not None for f in loads)
-    scene = Simulation(
-        body.with_inertia(1.0 if held else 0.0),
-        flow,
-        position=position,
-        orientation=orientation,
-        velocity=velocity,
-        angular_velocity=spin,
-        loads=Loads(*(ORIGIN if f is None else f for f in loads)) if pushed else None,
-    )
-    assembled = scene.assemble(t=t)
-    stress = SceneStress.of(assembled)
-    states = assembled.initial
-    torque = assembled.equations.force_torque(t, states)[1] if held or pushed else None
-    q = rotation.normalize(states[:, ORIENTATION])
-    found = stress.stresslet(t, states[:, POSITION], q, rotation.axis(q), torque)
-    return scene.shaped(symmetric(found))
