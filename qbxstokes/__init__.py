@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import flow as flow
     from qbxstokes.simulation.from_case import from_case as from_case
     from qbxstokes.simulation.result import Motion as Motion
+    from qbxstokes.simulation.rheology import langevin as langevin
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
     from qbxstokes.simulation.suspension import Suspension as Suspension
@@ -51,6 +52,7 @@ _PUBLIC = {
     "build_flow": "qbxstokes.flows",
     "flow": "qbxstokes.simulation.body",
     "from_case": "qbxstokes.simulation.from_case",
+    "langevin": "qbxstokes.simulation.rheology",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
     "rheology": "qbxstokes.simulation.rheology",

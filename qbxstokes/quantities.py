@@ -94,7 +94,9 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "quaternion": ("body to space", (4,), ("0", *_XYZ), ()),
     "angles": ("body to space", (3,), _ANGLES, _ANGLE_SYMBOLS),
     "tensor": ("space", (6,), _PAIRS, tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS)),
+    "stresses": ("space", (6,), _PAIRS, ()),
     "matrix": ("body", (6, 6), (), ()),
+    "square": ("space", (3, 3), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
     "four": ("", (4,), ("0", "1", "2", "3"), ()),
     "numbers": ("", (4,), ("0", "1", "2", "1_held"), ("S_0", "S_1", "S_2", "S_1^{held}")),
@@ -118,6 +120,16 @@ torque           | M      | mu c^3/tau | hydrodynamic torque on the body   | vec
 euler_angles     | \mathrm{angle} | rad | phi, theta, psi of R3 R1 R3      | angles
 orbit_constant | C | 1 | Jeffery's orbit constant in the shear at the start: infinite when tumbling
 """)
+
+# Of a motion as well, where it is asked for: what the body adds to the stress of a suspension. The
+# last three are per volume fraction, in units of mu times the rate sqrt(2 E:E) at the centre.
+STRESS = _table(r"""
+stresslet           | S        | mu c^3/tau | stresslet, with that of the torque       | stresses
+particle_stress     | \Sigma   | 1 | stress over volume fraction, mu and rate, all parts | stresses
+acceleration_stress | \Sigma^A | 1 | its part from the particle's acceleration           | stresses
+reynolds_stress     | \Sigma^R | 1 | its part from the particle's motion past the flow   | stresses
+""")
+RECORDABLE = MOTION | STRESS
 
 # Of an event, in the order in which they are recorded; half-turns have some more.
 EVENT = {
@@ -245,6 +257,27 @@ expansion_order | p           | 1 | order of the expansions
 nodes           |             | 1 | nodes on the surface
 """),
 }
+
+# Of a suspension: at each Peclet number and each instant, in units of mu times the rate.
+RHEOLOGY = _table(r"""
+peclet_number | \mathrm{Pe} | 1 | rate of the flow over rotary diffusivity, infinite without it
+   || Peclet number $\mathrm{Pe}$
+intrinsic_viscosity | [\eta] | 1 | particle stress along E over volume fraction and rate
+   || intrinsic viscosity $[\eta]$
+first_normal_stress_difference  | N_1 | 1 | Sigma_11 - Sigma_22 over volume fraction, mu and rate
+second_normal_stress_difference | N_2 | 1 | Sigma_22 - Sigma_33 over volume fraction, mu and rate
+particle_stress | \Sigma | 1 | particle stress over volume fraction, mu and rate | square
+hydrodynamic_stress | \Sigma^H | 1 | its part from the mean stresslet | square
+brownian_stress | \Sigma^B | 1 | its part from rotary Brownian motion | square
+order_tensor | \langle pp\rangle | 1 | mean of the products of the axis' components | square
+error_estimate | | 1 | estimated relative error of the stress
+theta | \vartheta | rad | angle from e3 of the distribution's axes
+phi | \varphi | rad | angle from e1 about e3 of the distribution's axes
+distribution | \psi | 1 | density of axes on the unit sphere, by theta and phi, of integral 1
+strain | \gamma | 1 | strain of an oscillation
+strain_rate | \dot\gamma | 1 | rate of an oscillation over its amplitude
+""")
+STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
 
 STATUS = _table("""
 status | | | 0 missing, 1 done, 2 failed

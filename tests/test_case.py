@@ -154,7 +154,7 @@ FAULTS = {
     "unknown alias": ("0.5\n", "*k\n", r":2: "),
     "several bodies": ("body:", "bodies: []\nbody:", r":1: bodies: several .*not there yet"),
     "walls": ("start:", "surroundings: {type: wall}\nstart:", r":4: surroundings: .*not there yet"),
-    "another fluid": ("start:", "rheology: {}\nstart:", r":4: rheology: .*not there yet"),
+    "a suspension": ("start:", "rheology: {}\nstart:", r":4: rheology: .*task: rheology"),
     "an ensemble": ("start:", "statistics: {}\nstart:", r":4: statistics: .*not there yet"),
     "another shape": ("0.5\n", "0.5\n  shape: cylinder\n", r":3: body.shape: .*not there yet"),
     "benchmark": ("start:", "task: benchmark\nstart:", r":4: task: .*cases/benchmarks"),

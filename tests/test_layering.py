@@ -25,7 +25,7 @@ LEVELS = (
     {"qbx"},
     {"bie"},
     {"motion"},
-    {"petsc", "io", "plots", "case", "rheology"},
+    {"petsc", "io", "plots", "case", "suspension"},
     {"simulation"},
     {"runs"},
     {"cli"},

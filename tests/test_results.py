@@ -23,6 +23,7 @@ from qbxstokes.quantities import (
     MOTION,
     PARAMETER,
     POINT,
+    RECORDABLE,
     SUMMARY,
     SURFACE,
     column,
@@ -38,8 +39,8 @@ def block(start: int, count: int) -> dict[str, np.ndarray]:
 
 
 def test_each_quantity_of_a_motion_has_one_function_and_names_of_its_own() -> None:
-    assert list(OBSERVABLES) == list(MOTION)
-    for table in (MOTION, HALF_TURN, FLUID | POINT | SURFACE, SUMMARY, PARAMETER):
+    assert list(OBSERVABLES) == list(RECORDABLE)
+    for table in (RECORDABLE, HALF_TURN, FLUID | POINT | SURFACE, SUMMARY, PARAMETER):
         for name, about in table.items():
             assert about.name == name
             assert about.description

@@ -43,6 +43,15 @@ def test_sample_run_moves_to_higher_shear(run_study: Run) -> None:
     assert found["displacement, k = 0.5"] == pytest.approx(0.0390, abs=1e-4)
 
 
+def test_suspensions_are_those_of_scheraga_and_simha(run_study: Run) -> None:
+    found = run_study("rheology")
+    assert found["largest difference from Scheraga's digits"] == 0.0
+    assert found["Simha's formula at 25:1, relative"] < 0.01
+    assert found["smallest N1"] > 0.0
+    assert found["largest N2"] < 0.0
+    assert found["small oscillations, relative"] < 1e-6
+
+
 def test_bodies_accelerate_in_their_relaxation_time(run_study: Run) -> None:
     found = run_study("acceleration")
     assert found["largest error of T, rolling"] < 1e-7

@@ -23,7 +23,7 @@ from qbxstokes.case.model import (
     whole,
 )
 from qbxstokes.case.values import Problem, describe, increasing, to_number
-from qbxstokes.quantities import MOTION
+from qbxstokes.quantities import RECORDABLE
 
 
 class Time(Section):
@@ -233,8 +233,8 @@ class Output(Section):
         "result file, in the working directory; unset: the case's name + .h5", None, "result.h5"
     )
     overwrite: bool = key("replace an existing result; otherwise a free name is numbered", False)
-    fields: Annotated[tuple[str, ...], some(choice(*MOTION))] | None = key(
-        "quantities to store besides time; unset: all", None, ["position", "axis"]
+    fields: Annotated[tuple[str, ...], some(choice(*RECORDABLE))] | None = key(
+        "quantities to store besides time; unset: all but stresses", None, ["position", "axis"]
     )
     merge: bool = key(
         "copy the parts of a sweep into one file; false: they stay in FILE.parts, which the result "

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from qbxstokes.case.field import FieldSection
 from qbxstokes.case.model import Key, Reader, Section, key
+from qbxstokes.case.rheology import RheologySection
 from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, Output, Time
 from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
 from qbxstokes.case.sweep import Sweep
@@ -19,7 +20,8 @@ from qbxstokes.solver_options import foreign_to_a_case, misleading
 # they are given, and starter cases leave them out.
 _FOREIGN = {
     "motion": {
-        "leave it out": "field.body field.force field.torque field.velocity field.angular_velocity"
+        "leave it out": "field.body field.force field.torque field.velocity field.angular_velocity",
+        "leave it out, or use task: rheology": "rheology",
     },
     "field": {
         "leave it out, or use task: motion": "constraints time events sweep",
@@ -29,10 +31,21 @@ _FOREIGN = {
         "give field.angular_velocity, with field.body: moving": "start.angular_velocity",
         "leave it out: the flow at one instant knows no inertia": "body.stokes_number body.inertia",
         "leave it out: it chooses among the samples of a motion": "output.fields",
+        "leave it out, or use task: rheology": "rheology",
+    },
+    "rheology": {
+        "leave it out, or use task: motion": "forces constraints time events checkpoint sweep",
+        "leave it out, or use task: field": "field",
+        "leave it out: orientations are told by rheology.orientations": "start.orientation",
+        "leave it out: nothing moves": "start.velocity start.angular_velocity",
+        "leave it out: record particle_stress in the motion of an inertial body": "body.inertia "
+        "body.stokes_number",
+        "leave it out: it chooses among the samples of a motion": "output.fields",
     },
     "body": {
         "leave it out, or use task: motion": "forces constraints time events checkpoint",
         "leave it out, or use task: field": "field",
+        "leave it out, or use task: rheology": "rheology",
         "leave it out: nothing moves": "start.velocity start.angular_velocity body.stokes_number "
         "body.inertia",
         "leave it out: the body is always formed anew": "hydrodynamics.cache",
@@ -80,13 +93,12 @@ class Case(
     Section,
     bodies=("several bodies are not there yet", "write body, for one"),
     surroundings=("walls are not there yet", "leave it out: the fluid is unbounded"),
-    rheology=("other fluids are not there yet", "leave it out: the fluid is Newtonian"),
     statistics=("ensembles are not there yet", "average over the table of a sweep"),
     **_MOVED,
 ):
     """One case: what to compute, for which body in which flow, and how."""
 
-    task: Literal["motion", "field", "body"] = key("what to compute", "motion")
+    task: Literal["motion", "field", "body", "rheology"] = key("what to compute", "motion")
     title: str = key("a line that names the case in summaries", "")
     body: Body = key("the spheroid")
     flow: FlowSection | None = key("the background flow (task: body: may be left out)")
@@ -99,6 +111,9 @@ class Case(
     )
     field: FieldSection | None = key(
         "the flow around the body: where, which quantities, how well", None
+    )
+    rheology: RheologySection | None = key(
+        "a dilute suspension of the body in a homogeneous flow", None
     )
     events: Events = key("what is watched for between samples", Events())
     checkpoint: Checkpoints = key("how often the run is made safe on disk", Checkpoints())
@@ -131,6 +146,8 @@ class Case(
                 holder = holder.get(part) if isinstance(holder, dict) else None
             if isinstance(holder, dict) and holder.get(path[-1]) is not None:
                 raise Problem(f"has no meaning for task: {task}", right, path)
+        if task == "rheology":
+            data = {**data, "rheology": data.get("rheology") or {}}
         return {**data, "flow": data.get("flow") or None} if task == "body" else data
 
     def _check(self) -> None:

@@ -33,6 +33,8 @@ of a motion
 {motion}
 of a field
   velocity-field, traction, error
+of a suspension
+  material-functions, lissajous, distribution
 of a sweep
   a summary of its table, such as period, rotation_rate, orbit_drift;
   of one that was measured the error over the time;
@@ -116,7 +118,7 @@ def drawings(
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
-    from qbxstokes.plots import field, motion, sweep
+    from qbxstokes.plots import field, motion, rheology, sweep
     from qbxstokes.plots.source import is_motion, sampling
 
     result = _opened(path, trajectory)
@@ -127,7 +129,7 @@ def drawings(
     found: dict[str, Drawing] = motion.drawings(result) if is_motion(result) else {}
     if note := sampling(result):
         print(f"qbxstokes: {path}: {note}", file=sys.stderr)
-    found |= field.drawings(result)
+    found |= field.drawings(result) | rheology.drawings(result)
     for kind in kinds:
         if kind not in found:
             there = ", ".join(found) or "no pictures"

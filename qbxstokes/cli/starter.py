@@ -31,6 +31,11 @@ _STARTERS = {
         flow: {type: shear, rate: 1.0}
         start: {orientation: {axis: [1.0, 1.0, 0.0]}}
         field: {plane: {extent: [-3.0, 3.0, -2.0, 2.0], shape: [151, 101]}, pictures: true}""",
+    "rheology": """
+        title: A dilute suspension in shear
+        body: {aspect_ratio: 0.2}
+        flow: {type: shear, rate: 1.0}
+        rheology: {peclet_number: [0.1, 1.0, 10.0, 100.0]}""",
     "body": """
         title: The hydrodynamics of a body
         body: {aspect_ratio: 0.5}""",

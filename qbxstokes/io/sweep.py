@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from qbxstokes.errors import OutputError, ResultFileError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
 from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
-from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
+from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:
     import h5py
@@ -74,7 +74,7 @@ class Layout:
     @property
     def row_bytes(self) -> int:
         """Bytes per trajectory."""
-        numbers = sum(MOTION[name].size for name in self.quantities)
+        numbers = sum(RECORDABLE[name].size for name in self.quantities)
         own_times = self.samples if self.quantities and self.times is None else 0
         scales = 8 * (1 + len(self.coordinates))
         return 8 * numbers * self.samples + 8 * own_times + self.dtype.itemsize + scales
@@ -235,7 +235,7 @@ def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Datase
     else:
         time.make_scale("time")
     for name in layout.quantities:
-        about = MOTION[name]
+        about = RECORDABLE[name]
         data = rows_of(name, (layout.size, layout.samples, *about.shape), numbers, about)
         for scale in (index, *scales):
             data.dims[0].attach_scale(scale)
@@ -252,7 +252,7 @@ class WholeFile:
         """Open it; raises OSError."""
         self._descriptor = os.open(data, os.O_RDWR if writable else os.O_RDONLY)
         self._offsets, self._layout = offsets, layout
-        self._row = {name: 8 * layout.samples * MOTION[name].size for name in layout.quantities}
+        self._row = {name: 8 * layout.samples * RECORDABLE[name].size for name in layout.quantities}
         self._row["table"] = layout.dtype.itemsize
         if layout.quantities and layout.times is None:
             self._row["time"] = 8 * layout.samples
@@ -281,7 +281,7 @@ class WholeFile:
         """What stands in the rows (m,), as `write_rows` takes it."""
         found = {"table": self.read_table(rows)}
         for name in self._row.keys() - {"table"}:
-            shape = MOTION[name].shape if name in MOTION else ()
+            shape = RECORDABLE[name].shape if name in RECORDABLE else ()
             data = np.frombuffer(self._bytes(name, rows))
             found[name] = data.reshape(len(rows), self._layout.samples, *shape)
         return found

@@ -21,7 +21,7 @@ from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
 from qbxstokes.io.names import check_writable, numbered, temporary_name
 from qbxstokes.io.places import describe, reserve
-from qbxstokes.quantities import MOTION, TIME, Quantity
+from qbxstokes.quantities import RECORDABLE, TIME, Quantity
 
 if TYPE_CHECKING:
     import h5py
@@ -125,7 +125,7 @@ class ResultWriter:
     def append(
         self,
         samples: Mapping[str, ArrayLike],
-        about: Mapping[str, Quantity] = MOTION,
+        about: Mapping[str, Quantity] = RECORDABLE,
     ) -> None:
         """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
 

@@ -1,7 +1,7 @@
 """Quantities of a motion from the states that the integrator gives: one function for each.
 
-A quantity that `quantities.MOTION` lists is computed by the function that is registered here under
-its name. To add one: a line in the list, a function here.
+A quantity that `quantities.RECORDABLE` lists is computed by the function that is registered here
+under its name. To add one: a line in the list, a function here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
-from qbxstokes.quantities import MOTION
+from qbxstokes.motion.stress import StressSource, components, inertial_stresses
+from qbxstokes.quantities import RECORDABLE
 
 Array = NDArray[np.float64]
 
@@ -34,9 +35,15 @@ class Moment:
     """
 
     def __init__(
-        self, equations: RigidBodyEquations, t: float, states: Array, shear: Array | None
+        self,
+        equations: RigidBodyEquations,
+        t: float,
+        states: Array,
+        shear: Array | None,
+        stress: StressSource | None = None,
     ) -> None:
         self.equations, self.t, self.states, self.shear = equations, t, states, shear
+        self._stress = stress
 
     @cached_property
     def orientation(self) -> Array:
@@ -58,6 +65,42 @@ class Moment:
         """Hydrodynamic force and torque on the bodies, each (n, 3)."""
         return self.equations.force_torque(self.t, self.states)
 
+    @property
+    def stress(self) -> StressSource:
+        """What knows the stresslets. Raises ValueError where nothing was prepared."""
+        if self._stress is None:
+            raise ValueError("stresses need a source")
+        return self._stress
+
+    @cached_property
+    def stresslet(self) -> Array:
+        """Stresslets (n, 6), those of hydrodynamic torques included."""
+        torque = None if self.equations.free_of_torque else self.force_torque[1]
+        x = self.states[:, POSITION]
+        return self.stress.stresslet(self.t, x, self.orientation, self.axis, torque)
+
+    @cached_property
+    def inertial(self) -> tuple[Array, Array]:
+        """Parts (n, 6) of the particle stress from acceleration and relative motion."""
+        gradient, volume_rate = self._scale
+        parts = inertial_stresses(self.equations, self.t, self.states, gradient)
+        return components(parts[0]) / volume_rate, components(parts[1]) / volume_rate
+
+    @cached_property
+    def _scale(self) -> tuple[Array, Array]:
+        """Velocity gradient (n, 3, 3) at the centres, and volume times rate (n, 1)."""
+        gradient = self.stress.gradient(self.t, self.states)
+        strain = 0.5 * (gradient + gradient.swapaxes(1, 2))
+        rate = np.sqrt(2.0 * np.sum(strain * strain, axis=(1, 2)))
+        volume = np.broadcast_to(self.equations.bodies.inertia[0], rate.shape)
+        with np.errstate(divide="ignore"):
+            return gradient, np.where(rate > 0.0, volume * rate, np.nan)[:, None]
+
+    @property
+    def particle_stress(self) -> Array:
+        """Sum (n, 6) of all parts over volume fraction, mu and rate (G. K. Batchelor 1970)."""
+        return np.asarray(self.stresslet / self._scale[1] + self.inertial[0] + self.inertial[1])
+
 
 def _orbit_constant(moment: Moment) -> Array:
     if moment.shear is None:
@@ -75,6 +118,10 @@ OBSERVABLES: dict[str, Callable[[Moment], Array]] = {
     "torque": lambda moment: moment.force_torque[1],
     "euler_angles": lambda moment: rotation.to_euler(moment.orientation),
     "orbit_constant": _orbit_constant,
+    "stresslet": lambda moment: moment.stresslet,
+    "particle_stress": lambda moment: moment.particle_stress,
+    "acceleration_stress": lambda moment: moment.inertial[0],
+    "reynolds_stress": lambda moment: moment.inertial[1],
 }
 
 
@@ -85,16 +132,18 @@ def observe(
     steady: bool,
     wanted: Iterable[str] = (),
     shear: Array | None = None,
+    stress: StressSource | None = None,
 ) -> dict[str, Array]:
     """The wanted quantities (T, n, ...) from the states (T, n, n_state) at the times (T,).
 
     Position, axis and both velocities are always among them. steady: whether the flow is. shear:
-    as in `Moment`; the orbit constant is NaN without it. Raises KeyError for an unknown name.
+    as in `Moment`; the orbit constant is NaN without it. stress: what knows the stresslets. Raises
+    KeyError for an unknown name.
     """
     samples, n = states.shape[:2]
     together = max(1, _PIECE // n) if steady and equations.steady else 1
     results: dict[str, Array] = {
-        name: np.empty((samples, n, *MOTION[name].shape))
+        name: np.empty((samples, n, *RECORDABLE[name].shape))
         for name in dict.fromkeys((*_BASIC, *wanted))
     }
     many = equations
@@ -104,7 +153,7 @@ def observe(
         y = states[piece].reshape(count * n, -1)
         if many.n_lanes != len(y):
             many = equations.repeated(count)
-        moment = Moment(many, float(times[start]), y, shear)
+        moment = Moment(many, float(times[start]), y, shear, stress)
         for name, array in results.items():
             array[piece] = OBSERVABLES[name](moment).reshape(count, n, *array.shape[2:])
     return results

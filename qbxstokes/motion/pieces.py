@@ -115,6 +115,11 @@ class Pieces:
         return np.broadcast_to(self.bodies.aspect_ratio, (self.n_lanes,))
 
     @property
+    def free_of_torque(self) -> bool:
+        """Whether the fluid exerts neither force nor torque on any body at any instant."""
+        return self._force_free
+
+    @property
     def steady(self) -> bool:
         """Whether loads and constraints are constant in time (the flow may still change)."""
         return self._steady_loads and self.constraints.steady

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.source import ResultLike, instants, samples, units
-from qbxstokes.quantities import MOTION
+from qbxstokes.quantities import RECORDABLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +61,7 @@ def vector_panels(result: ResultLike, name: str) -> list[Panel]:
     """Panels of a vector's components; of the position, the displacement since the start."""
     times = instants(result)
     values = samples(result, name, 3)
-    symbol, parts = MOTION[name].symbol, MOTION[name].symbols
+    symbol, parts = RECORDABLE[name].symbol, RECORDABLE[name].symbols
     if name == "position":
         values = values - values[0]
         symbol, parts = rf"\Delta {symbol}", tuple(rf"\Delta {part}" for part in parts)
@@ -83,7 +83,7 @@ def _three(result: ResultLike, name: str) -> list[Panel]:
     times, values = instants(result), samples(result, name, 3)
     if name == "euler_angles":
         values = np.unwrap(values, axis=0) / np.pi
-    symbol, parts = MOTION[name].symbol, MOTION[name].symbols
+    symbol, parts = RECORDABLE[name].symbol, RECORDABLE[name].symbols
 
     def draw(axes: Axes) -> None:
         draw_lines(axes, times, [(f"${parts[i]}$", values[:, i]) for i in range(3)])

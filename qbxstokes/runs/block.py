@@ -19,7 +19,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
-from qbxstokes.quantities import COLUMNS, MOTION
+from qbxstokes.quantities import COLUMNS, RECORDABLE
 from qbxstokes.runs.gathering import Gathering, Item
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.assembly import assemble
@@ -56,7 +56,7 @@ def empty_result(
     """Results of n trajectories at times (T,) that are still to be filled in."""
     return BlockResult(
         {name: np.full(n, np.nan) for name in columns},
-        {name: np.full((n, len(times), *MOTION[name].shape), np.nan) for name in quantities},
+        {name: np.full((n, len(times), *RECORDABLE[name].shape), np.nan) for name in quantities},
         times,
     )
 

@@ -154,6 +154,8 @@ def carry_out(job: Job) -> int:
             from qbxstokes.runs.field import run_field as run
         elif loaded.case.task == "body":
             from qbxstokes.runs.body import run_body as run
+        elif loaded.case.task == "rheology":
+            from qbxstokes.runs.rheology import run_rheology as run
         else:
             from qbxstokes.runs.motion import run_motion as run
     summary = run(job)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.quantities import MOTION
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS
 from qbxstokes.runs.field_targets import targets_of
 from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
@@ -54,7 +54,7 @@ class MotionPlan(Plan):
     @property
     def bytes_on_disk(self) -> int:
         """Size of the samples in the result file."""
-        numbers = 1 + sum(MOTION[name].size for name in self.quantities)
+        numbers = 1 + sum(RECORDABLE[name].size for name in self.quantities)
         return 8 * numbers * len(self.times)
 
 
@@ -64,6 +64,7 @@ def plan_of(loaded: LoadedCase) -> Plan:
         "motion": make_plan,
         "body": plan_body,
         "field": plan_field,
+        "rheology": plan_rheology,
     }
     if loaded.space is None and not loaded.case.output.merge:
         raise loaded.error("output.merge", "only a sweep has parts to show", "leave it out")
@@ -85,7 +86,7 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
     quantities = tuple(name for name in MOTION if simple or name != "orbit_constant")
     if case.output.fields is not None:
         for index, name in enumerate(case.output.fields):
-            if name not in quantities:
+            if name not in (*quantities, *STRESS):
                 raise loaded.error(
                     ("output", "fields", index),
                     f"{name} exists in a simple shear only, which the flow at the start is not",
@@ -167,6 +168,24 @@ def plan_body(loaded: LoadedCase) -> Plan:
     if case.compare.reference == "none":
         skips.append("comparison with closed forms (as asked)")
     return Plan(scene, tuple(needs), tuple(skips))
+
+
+def plan_rheology(loaded: LoadedCase) -> Plan:
+    """Plan of `task: rheology`; raises CaseError for what the schema alone cannot see."""
+    case = loaded.case
+    section = case.rheology
+    assert section is not None  # the schema makes one of defaults
+    with pointed(loaded):
+        scene = start_of(loaded)
+        scene.check()
+    finite = [number for number in section.peclet_number if np.isfinite(number)]
+    needs = ["the stresslet of the body: three adjoint solves, in the modes 0, 1 and 2"]
+    if finite:
+        needs.append("densities of orientations by spherical harmonics, as many as the stress asks")
+    if len(finite) < len(section.peclet_number):
+        needs.append("orbits without Brownian motion, by closed forms and equal steps of the phase")
+    skips = ["motions of single bodies: densities of orientations take their place"]
+    return Plan(scene, tuple(needs), (*skips, *_skips_of_body(case)))
 
 
 def plan_field(loaded: LoadedCase) -> FieldPlan:

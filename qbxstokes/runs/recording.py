@@ -20,7 +20,7 @@ from qbxstokes.io.store import DamagedPart, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.quantities import MOTION, TIME, of_event
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, TIME, Quantity, of_event
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.runs.target import finished_result, identity_of, result_path
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
@@ -30,7 +30,6 @@ from qbxstokes.simulation.watch import split_columns
 Array = NDArray[np.float64]
 
 SAMPLES, ROWS = "samples", "rows"
-_COLUMNS = {"time": TIME, **MOTION}
 # Samples that are kept in memory for the comparison with a reference; thinned from there on.
 _KEPT = 20_000
 # Rows are kept in memory up to this size (bytes) before the disk is needed, and go to the result
@@ -100,6 +99,15 @@ class Recording:
         self.resumed_at = self.start.time
 
     @property
+    def _names(self) -> tuple[str, ...]:
+        """What is recorded: all that every motion has, and the stresses that are stored."""
+        return (*MOTION, *(name for name in self._plan.quantities if name in STRESS))
+
+    @property
+    def _columns(self) -> dict[str, Quantity]:
+        return {"time": TIME, **{name: RECORDABLE[name] for name in self._names}}
+
+    @property
     def target(self) -> Path:
         """The file the result is for."""
         return self.work.target
@@ -129,8 +137,8 @@ class Recording:
 
         def receive(chunk: Chunk) -> None:
             if len(chunk.times):
-                found = assembled.observe(chunk.times, chunk.states, tuple(MOTION))
-                columns = [found[name].reshape(len(chunk.times), -1) for name in MOTION]
+                found = assembled.observe(chunk.times, chunk.states, self._names)
+                columns = [found[name].reshape(len(chunk.times), -1) for name in self._names]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self._waiting.append((SAMPLES, rows))
             self._waiting += events.take().items()
@@ -205,7 +213,7 @@ class Recording:
                 columns = of_event(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
-            data = split_columns(rows, _COLUMNS)
+            data = split_columns(rows, self._columns)
             writer.append({"time": data["time"], **{key: data[key] for key in quantities}})
             constant = data["orbit_constant"]
             first = constant[0] if first is None else first
@@ -213,9 +221,9 @@ class Recording:
             index = np.arange(seen, seen + len(rows))
             kept.append(rows[(index % stride == 0) | (index == total - 1)])
             seen += len(rows)
-        width = sum(column.size for column in _COLUMNS.values())
+        width = sum(column.size for column in self._columns.values())
         samples = np.concatenate([np.empty((0, width)), *kept])
-        return {**split_columns(samples, _COLUMNS), "largest_orbit_drift": np.array(drift)}
+        return {**split_columns(samples, self._columns), "largest_orbit_drift": np.array(drift)}
 
     def replaces(self, path: Path) -> bool:
         """Whether the file at `path` is what an interrupted part of this very run left."""

@@ -55,6 +55,8 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     if isinstance(plan, MotionPlan):
         yield from _driven(case)
         yield "time", _span(plan)
+    elif case.rheology is not None:
+        yield "suspension", f"dilute, {case.rheology.protocol} flow"
     elif case.task == "body" and case.flow is not None:
         place, turn = plan.simulation.position[0], plan.simulation.quaternion[0]
         yield "place", f"({vector(place)}), quaternion ({vector(turn)})"
@@ -171,7 +173,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     sections: dict[str, Rows] = {
         "Scene": scene(loaded, plan),
         "Solved": _field_solved(summary) if of_field else _solved(summary),
-        "Found": _seen(summary) if "events" in summary else _law(summary),
+        "Found": _found(summary),
         "Skipped": () if of_field else listed(plan.skips),
         "Errors": _errors(summary),
         "Times": [("total", duration(times["total"])), ("parts", spent)],
@@ -241,6 +243,30 @@ def _field_solved(summary: dict[str, Any]) -> Rows:
 def _points(points: Mapping[str, int]) -> str:
     """How many points of a field were evaluated in which way."""
     return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
+
+
+def _found(summary: dict[str, Any]) -> Rows:
+    """What came out."""
+    if "suspension" in summary:
+        return _suspension(summary["suspension"])
+    return _seen(summary) if "events" in summary else _law(summary)
+
+
+def _suspension(found: Mapping[str, Any]) -> Rows:
+    """Material functions at each Peclet number, the last instant of a transient."""
+    rest, isotropic = found["viscosity_at_rest"], found["viscosity_of_isotropic"]
+    yield "limits of [eta]", f"{rest:.9g} at small Pe; {isotropic:.9g} isotropic, without Brownian"
+    names = ("intrinsic_viscosity", "first_normal_stress_difference")
+    rows = zip(
+        found["peclet_number"],
+        *(found[name] for name in (*names, "second_normal_stress_difference", "error_estimate")),
+        strict=True,
+    )
+    for number, viscosity, first, second, error in rows:
+        text = f"[eta] {viscosity:.9g}"
+        if isfinite(first):
+            text += f", N1 {first:.9g}, N2 {second:.9g}"
+        yield f"Pe = {number:g}", f"{text}; error {error_text(error)}"
 
 
 def _law(summary: dict[str, Any]) -> Rows:

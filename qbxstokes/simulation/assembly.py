@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.observables import observe
+from qbxstokes.motion.stress import StressSource
+from qbxstokes.quantities import STRESS
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -108,11 +110,19 @@ class Assembled:
         """What watches for events between the steps of a single lane; raises SceneError."""
         return build_events(self.parts[0], self.equations, self.initial)
 
+    @cached_property
+    def stress(self) -> StressSource:
+        """The stresslets of the lanes; forms those of the bodies when first asked."""
+        from qbxstokes.simulation.stresses import SceneStress
+
+        return SceneStress.of(self)
+
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
         """The wanted quantities (T, n, ...) from states (T, n, n_state) at times (T,)."""
         shears = [part.frame.shear for part in self.parts]
         shear = shears[0] if len(shears) == 1 else None
-        found = observe(self.equations, times, states, self.steady, wanted, shear)
+        stress = self.stress if any(name in STRESS for name in wanted) else None
+        found = observe(self.equations, times, states, self.steady, wanted, shear, stress)
         if "orbit_constant" in found and len(self.parts) > 1:
             for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
                 axes, k = found["axis"][:, lanes], part.body.aspect_ratio

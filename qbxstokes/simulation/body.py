@@ -305,7 +305,7 @@ class Body:
         >>> np.round(np.diag(qs.Body(1.0).stresslet(strain)) * 3 / (20 * np.pi), 9) + 0.0
         array([ 1., -1.,  0.])
         """
-        from qbxstokes.simulation.stresses import body_stresslet
+        from qbxstokes.simulation.stresslet import body_stresslet
 
         motion, loads = (velocity, angular_velocity), (force, torque)
         return body_stresslet(self, flow, position, orientation, motion, loads, t)

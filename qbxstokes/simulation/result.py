@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.quantities import MOTION, of_event
+from qbxstokes.motion.stress import symmetric
+from qbxstokes.quantities import MOTION, STRESS, of_event
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
 
 if TYPE_CHECKING:
@@ -79,6 +81,38 @@ class Motion:
             times, **values, summary=summary, events=events, _assembled=assembled, _states=states
         )
 
+    @cached_property
+    def stresslet(self) -> Array:
+        """Stresslets (lanes, T, 3, 3), space frame, units of mu c^3/tau; computed when asked."""
+        return self._stress["stresslet"]
+
+    @cached_property
+    def particle_stress(self) -> Array:
+        """Stress (lanes, T, 3, 3) over volume fraction, mu and rate sqrt(2 E:E) at the centre.
+
+        Its inertial parts, which it contains, are acceleration_stress and reynolds_stress.
+        """
+        return self._stress["particle_stress"]
+
+    @cached_property
+    def acceleration_stress(self) -> Array:
+        """The part of particle_stress from the acceleration of the particle's mass."""
+        return self._stress["acceleration_stress"]
+
+    @cached_property
+    def reynolds_stress(self) -> Array:
+        """The part of particle_stress from the particle's motion past the mean flow."""
+        return self._stress["reynolds_stress"]
+
+    @cached_property
+    def _stress(self) -> dict[str, Array]:
+        found = self._assembled.observe(self.time, self._states, tuple(STRESS))
+        lanes = self.position.shape[:-2]
+        return {
+            name: np.moveaxis(symmetric(found[name]), 0, 1).reshape(*lanes, -1, 3, 3)
+            for name in STRESS
+        }
+
     @property
     def steps(self) -> int:
         """Steps that the integrator took."""
@@ -89,7 +123,8 @@ class Motion:
         first, last = np.searchsorted(self.time, begin), np.searchsorted(self.time, end, "right")
         lanes = (slice(None),) * (self.position.ndim - 2)
         values = {name: getattr(self, name)[(*lanes, slice(first, last))] for name in MOTION}
-        return replace(self, time=self.time[first:last], **values)
+        states = self._states[first:last]
+        return replace(self, time=self.time[first:last], _states=states, **values)
 
     def averages(self, discard: float = 0.0) -> dict[str, Array]:
         """Averages over the whole half-turns after the first part `discard` of the time.

@@ -12,17 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.rheology.distribution import Distribution
-from qbxstokes.rheology.fokker_planck import (
+from qbxstokes.motion.stress import symmetric
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.suspension import langevin as brownian
+from qbxstokes.suspension import orbits
+from qbxstokes.suspension.distribution import Distribution
+from qbxstokes.suspension.fokker_planck import (
     Evolution,
     Transport,
     converged,
     first_degree,
     isotropic,
 )
-from qbxstokes.rheology.particle import LinearFlow, Particle
-from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.suspension.orbits import Starts
+from qbxstokes.suspension.particle import LinearFlow, Particle
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -44,7 +48,9 @@ class Rheology:
     hydrodynamic_stress + brownian_stress; intrinsic_viscosity = Sigma:E/(2 E:E), Sigma_12 of a
     shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over rate, NaN in other flows;
     order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a steady state. distribution:
-    one or a list of them; the last one of a transient. error_estimate: relative, of the stress.
+    one or a list of them; the last one of a transient; None without
+    Brownian motion where the orientations are not isotropic at first, or come to a single one.
+    error_estimate: relative, of the stress.
     """
 
     peclet_number: Array
@@ -98,17 +104,21 @@ def rheology(
     times: ArrayLike | None = None,
     amplitude: float | None = None,
     frequency: float | None = None,
+    orientations: ArrayLike | str = "isotropic",
+    weights: ArrayLike | None = None,
     tolerance: float = 1e-8,
     position: ArrayLike = (0.0, 0.0, 0.0),
     workshop: Workshop | None = None,
 ) -> Rheology:
-    """Stress of a dilute suspension of a body in a homogeneous flow, with rotary Brownian motion.
+    """Stress of a dilute suspension of a body in a homogeneous flow.
 
-    peclet_number: the flow's rate sqrt(2 E:E) over the rotary diffusivity, a number or (n,).
-    protocol: "steady"; "startup" of the flow from rest, with isotropic orientations; "cessation" of
-    the steady flow; "oscillation" with the strain amplitude sin(w t), in its periodic state: give
-    the strain amplitude or w, the other one is rate/that. times: in units of 1/rate. tolerance: of
-    the stress, relative.
+    peclet_number: the flow's rate sqrt(2 E:E) over the rotary diffusivity, a number or (n,);
+    infinite: without Brownian motion, where the axes remember how they were at the start, that is
+    orientations: "isotropic", or axes (n, 3) with weights (n,). A steady state is then a mean over
+    a long time. protocol: "steady"; "startup" of the flow from rest, with isotropic orientations;
+    "cessation" of the steady flow; "oscillation" with the strain amplitude sin(w t), in its
+    periodic state: give the strain amplitude or w, the other one is rate/that. times: in units of
+    1/rate. tolerance: of the stress, relative.
 
     >>> import numpy as np, qbxstokes as qs
     >>> found = qs.rheology(qs.Body(0.2), qs.flow("shear"), peclet_number=[1e-4, 1.0, 100.0])
@@ -120,15 +130,19 @@ def rheology(
     if not 1e-12 <= tolerance <= 0.1:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
     numbers = np.asarray(peclet_number, dtype=np.float64)
-    if numbers.ndim > 1 or not np.all(numbers > 0.0) or not np.all(np.isfinite(numbers)):
+    if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
         raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
+    starts = _starts(orientations, weights, numbers)
+    if np.any(body.stokes_number):
+        right = "0: record particle_stress in the motion of an inertial body"
+        raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
     homogeneous = linear_flow(flow, position)
     particle, error = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
     cycle = _frequency(protocol, amplitude, frequency, homogeneous.rate)
     instants = _instants(protocol, times, cycle)
     found = [
-        _one(transport, particle, float(peclet), protocol, instants, cycle, tolerance)
+        _one(transport, particle, float(peclet), protocol, instants, cycle, starts, tolerance)
         for peclet in np.atleast_1d(numbers)
     ]
     stacked = {
@@ -155,8 +169,31 @@ def rheology(
             "viscosity_at_rest": particle.viscosity_at_rest,
             "viscosity_of_isotropic": particle.viscosity_of_isotropic,
             "frequency": cycle,
+            "stresslet_numbers": particle.stresslet.tolist(),
         },
     )
+
+
+def _starts(orientations: ArrayLike | str, weights: ArrayLike | None, numbers: Array) -> Starts:
+    """How the axes are at the start, which only those without Brownian motion remember."""
+    if isinstance(orientations, str):
+        if orientations != "isotropic" or weights is not None:
+            right = "isotropic, or axes (n, 3) with weights (n,)"
+            raise SceneError("orientations", f"are {orientations}", right)
+        return Starts()
+    if np.any(np.isfinite(numbers)):
+        right = "peclet_number: inf, or isotropic orientations"
+        raise SceneError("orientations", "are forgotten by Brownian motion", right)
+    axes = np.atleast_2d(np.asarray(orientations, dtype=np.float64))
+    lengths = np.linalg.norm(axes, axis=-1)
+    if axes.ndim != 2 or axes.shape[1] != 3 or not len(axes) or not np.all(lengths > 0.0):
+        raise SceneError("orientations", f"have shape {axes.shape}", "axes (n, 3), none of them 0")
+    share = None if weights is None else np.asarray(weights, dtype=np.float64)
+    if share is not None and (
+        share.shape != (len(axes),) or np.any(share < 0.0) or not share.any()
+    ):
+        raise SceneError("weights", f"have shape {share.shape}", f"({len(axes)},), none below 0")
+    return Starts(axes / lengths[:, None], share)
 
 
 def _frequency(
@@ -199,9 +236,12 @@ def _one(
     protocol: str,
     instants: Array | None,
     cycle: float | None,
+    starts: Starts,
     tolerance: float,
 ) -> dict[str, Any]:
     """Stresses, moments and distribution at one Peclet number."""
+    if np.isinf(peclet):
+        return _without_diffusion(transport, particle, protocol, instants, cycle, starts, tolerance)
     diffusivity, strain = 1.0 / peclet, transport.flow.strain
 
     def described(
@@ -254,6 +294,122 @@ def _one(
         return described(second, fourth, strength, last, degree)
 
     start = first_degree(peclet, particle.linear)
+    compute: Callable[[int], tuple[dict[str, Any], Array]]
     compute = steady if protocol == "steady" else transient
     parts, _, change = converged(compute, start, tolerance)
     return {**parts, "error_estimate": np.array(change)}
+
+
+def _without_diffusion(
+    transport: Transport,
+    particle: Particle,
+    protocol: str,
+    instants: Array | None,
+    cycle: float | None,
+    starts: Starts,
+    tolerance: float,
+) -> dict[str, Any]:
+    """The same without Brownian motion: where the axes are follows from the strain alone."""
+    strain, matrix = transport.flow.strain, transport.matrix
+    change, strength = 0.0, np.ones(())
+    if instants is None or protocol == "cessation":
+        (second, fourth), change, strains = orbits.long_time(matrix, starts, tolerance)
+        if instants is not None:
+            strength = np.zeros(len(instants))
+            second = np.broadcast_to(second, (len(instants), 3, 3))
+            fourth = np.broadcast_to(fourth, (len(instants), 3, 3, 3, 3))
+    else:
+        strains = instants
+        if cycle is not None:
+            strains, strength = np.sin(cycle * instants) / cycle, np.cos(cycle * instants)
+        second, fourth = orbits.transient(matrix, strains, starts)
+        strains = strains[-1:]
+    distribution = None
+    if starts.axes is None and len(strains):
+        distribution = orbits.advected(matrix, strains)
+    flowing = particle.hydrodynamic_stress(second, fourth, strength[..., None, None] * strain)
+    return {
+        "hydrodynamic_stress": flowing,
+        "brownian_stress": np.zeros_like(flowing),
+        "order_tensor": second,
+        "distribution": distribution,
+        "degree": 0,
+        "error_estimate": np.array(change),
+    }
+
+
+@dataclass(frozen=True)
+class BrownianAverages:
+    """Means over trajectories and time, each with its standard error, as (mean, error).
+
+    Units and meanings as in `Rheology`; order_tensor is a pair of (3, 3).
+    """
+
+    intrinsic_viscosity: tuple[float, float]
+    first_normal_stress_difference: tuple[float, float]
+    second_normal_stress_difference: tuple[float, float]
+    order_tensor: tuple[Array, Array]
+    trajectories: int
+    step: float
+
+
+def langevin(
+    body: Body,
+    flow: Flow,
+    peclet_number: float = 10.0,
+    *,
+    trajectories: int = 4096,
+    strain: float = 50.0,
+    step: float | None = None,
+    seed: int = 0,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+) -> BrownianAverages:
+    """The steady stress of `rheology` from Langevin trajectories: a second, independent way.
+
+    trajectories: how many, from isotropic orientations. strain: over which each is averaged, after
+    three relaxation times 1/(6 D) or a fifth of it. step: in units of 1/rate; the bias is of its
+    second order. The random numbers of a trajectory depend on seed, its number and the step alone.
+
+    >>> import qbxstokes as qs
+    >>> body, shear = qs.Body(0.2), qs.flow("shear")
+    >>> mean, error = qs.langevin(body, shear, 10.0, trajectories=256).intrinsic_viscosity
+    >>> exact = qs.rheology(body, shear, 10.0).intrinsic_viscosity
+    >>> bool(abs(mean - exact) < 4.0 * error)
+    True
+    """
+    if not 0.0 < peclet_number < np.inf:
+        raise SceneError("peclet_number", f"is {peclet_number:g}", "positive and finite")
+    if trajectories < 2:
+        raise SceneError("trajectories", f"are {trajectories}", "2 or more, to tell an error")
+    homogeneous = linear_flow(flow, position)
+    particle, _ = particle_of(body)
+    diffusivity = 1.0 / peclet_number
+    longest = brownian.longest_step(diffusivity)
+    chosen = min(0.05, 0.05 * longest) if step is None else step
+    if not 0.0 < chosen <= longest:
+        raise SceneError("step", f"is {chosen:g}", f"more than 0, at most {longest:g}")
+    if not strain >= chosen:
+        raise SceneError("strain", f"is {strain:g}", f"more than the step, {chosen:g}")
+    wait = max(0.5 / diffusivity, 0.2 * strain)
+    found = brownian.simulate(
+        Transport(homogeneous, particle.linear),
+        particle,
+        diffusivity,
+        range(trajectories),
+        chosen,
+        max(1, round(strain / chosen)),
+        round(wait / chosen),
+        seed,
+    )
+    functions = homogeneous.material_functions(symmetric(found.stress))
+
+    def averaged(values: Array) -> tuple[Any, Any]:
+        error = values.std(axis=0, ddof=1) / np.sqrt(trajectories)
+        return values.mean(axis=0)[()], error[()]
+
+    return BrownianAverages(
+        **{name: averaged(values) for name, values in functions.items()},
+        order_tensor=averaged(symmetric(found.order)),
+        trajectories=trajectories,
+        step=chosen,
+    )

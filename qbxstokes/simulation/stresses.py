@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stresslet
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.geometry import rotation
-from qbxstokes.motion.equations import Loads, RigidBodyEquations
-from qbxstokes.motion.layout import ORIENTATION, POSITION
-from qbxstokes.motion.stress import mean_strain, stresslets, torque_stresslets
+from qbxstokes.motion.layout import POSITION
+from qbxstokes.motion.stress import (
+    components,
+    mean_strain,
+    stresslets,
+    torque_stresslets,
+)
 from qbxstokes.simulation.hydrodynamics import (
     Workshop,
     explicit_scheme,
@@ -24,9 +27,9 @@ from qbxstokes.simulation.hydrodynamics import (
     solver_factory,
     solver_tolerance,
 )
-from qbxstokes.simulation.simulation import ORIGIN, Simulation
 
 if TYPE_CHECKING:
+    from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.body import Body
 
 Array = NDArray[np.float64]
@@ -76,20 +79,23 @@ class FreeStress:
     """
 
     def __init__(self, body: Body, flow: Flow, stresslet: Stresslet) -> None:
-        self.stresslet, self._k = stresslet, body.aspect_ratio
+        self.stresslet, self._flow, self._k = stresslet, flow, body.aspect_ratio
         self._polynomial: PolynomialFlow | None = None
         if flow.degree is not None and flow.degree <= 3:
             self._polynomial = flow.polynomial
         else:
             self._grid = GridStress(stresslet, flow, _FLOW_SHARE * body.tolerance)
 
-    def __call__(self, t: float, x: Array, q: Array) -> Array:
-        """S (n, 3, 3) in space at positions x (n, 3), orientations q (n, 4)."""
+    def gradient(self, t: float, x: Array) -> Array:
+        """Velocity gradient (n, 3, 3) of the flow at positions x (n, 3)."""
+        return np.asarray(self._flow.gradient(x, t))
+
+    def __call__(self, t: float, x: Array, q: Array, axis: Array) -> Array:
+        """S (n, 6) in space at positions x (n, 3), quaternions q (n, 4), axes (n, 3)."""
         if self._polynomial is None:
-            return self._grid.stresslet(t, x, q)
-        axis = rotation.axis(q)
+            return components(self._grid.stresslet(t, x, q))
         strain = mean_strain(self._polynomial, x, axis, self._k)
-        return stresslets(self.stresslet.numbers, axis, strain)
+        return stresslets(self.stresslet.numbers, axis, strain).T
 
 
 class SceneStress:
@@ -97,56 +103,49 @@ class SceneStress:
 
     def __init__(
         self,
-        equations: RigidBodyEquations,
         parts: Sequence[tuple[FreeStress, slice]],
         linear: Array,
     ) -> None:
         """parts: of each scene with its lanes. linear: lambda of each lane (n,)."""
-        self.equations, self._parts, self._linear = equations, parts, linear
+        self._parts, self._linear = parts, linear
 
-    def stresslet(self, t: float, states: Array, torque: Array | None) -> Array:
-        """S (n, 3, 3) in space in the states (n, n_state); torque: hydrodynamic, (n, 3)."""
-        n_lanes, x, q = len(self._linear), states[:, POSITION], states[:, ORIENTATION]
-        q = rotation.normalize(q)
+    @classmethod
+    def of(cls, assembled: Assembled) -> SceneStress:
+        """That of assembled scenes; forms the stresslets of their bodies where need be."""
+        slices, linear = assembled.slices(), np.empty(len(assembled.initial))
+        parts = []
+        for part, formed, lanes in zip(
+            assembled.parts, assembled.hydrodynamics, slices, strict=True
+        ):
+            parts.append((FreeStress(part.body, part.flow, part.body.stress), lanes))
+            linear[lanes] = formed.model.faxen.linear
+        return cls(parts, linear)
+
+    def gradient(self, t: float, states: Array) -> Array:
+        """Velocity gradient (n, 3, 3) of the background flow at the centres."""
         found = np.empty((len(states), 3, 3))
-        for free, lanes in self._parts:
-            # Several instants of the same lanes follow each other.
-            chosen = np.arange(len(states)).reshape(-1, n_lanes)[:, lanes].ravel()
-            found[chosen] = free(t, x[chosen], q[chosen])
-        if torque is not None:
-            linear = np.tile(self._linear, len(states) // n_lanes)
-            found += torque_stresslets(linear, rotation.axis(q), torque)
+        for free, chosen in self._chosen(len(states)):
+            found[chosen] = free.gradient(t, states[chosen, POSITION])
         return found
 
+    def _chosen(self, count: int) -> Iterator[tuple[FreeStress, Any]]:
+        """The states of each scene; several instants of the same lanes follow each other."""
+        if len(self._parts) == 1:
+            yield self._parts[0][0], slice(None)
+            return
+        numbers = np.arange(count).reshape(-1, len(self._linear))
+        for free, lanes in self._parts:
+            yield free, numbers[:, lanes].ravel()
 
-def body_stresslet(
-    body: Body,
-    flow: Flow,
-    position: ArrayLike,
-    orientation: ArrayLike,
-    motion: tuple[ArrayLike | None, ArrayLike | None],
-    loads: tuple[ArrayLike | None, ArrayLike | None],
-    t: float,
-) -> Array:
-    """`Body.stresslet`: motion is (velocity, angular velocity), loads (force, torque)."""
-    # With inertia the velocities are part of the state, whatever the Stokes number.
-    held = any(u is not None for u in motion)
-    velocity, spin = (ORIGIN if held and u is None else u for u in motion)
-    pushed = any(f is not None for f in loads)
-    scene = Simulation(
-        body.with_inertia(1.0 if held else 0.0),
-        flow,
-        position=position,
-        orientation=orientation,
-        velocity=velocity,
-        angular_velocity=spin,
-        loads=Loads(*(ORIGIN if f is None else f for f in loads)) if pushed else None,
-    )
-    assembled = scene.assemble(t=t)
-    stress = SceneStress(
-        assembled.equations,
-        [(FreeStress(body, flow, body.stress), slice(None))],
-        np.full(len(scene), assembled.hydrodynamics[0].model.faxen.linear),
-    )
-    torque = assembled.equations.force_torque(t, assembled.initial)[1] if held or pushed else None
-    return scene.shaped(stress.stresslet(t, assembled.initial, torque))
+    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Array | None) -> Array:
+        """S (n, 6) in space, positions x (n, 3), unit quaternions q (n, 4) and axes p (n, 3).
+
+        torque: hydrodynamic, (n, 3), None where there is none.
+        """
+        found = np.empty((len(x), 6))
+        for free, chosen in self._chosen(len(x)):
+            found[chosen] = free(t, x[chosen], q[chosen], p[chosen])
+        if torque is not None:
+            linear = np.tile(self._linear, len(x) // len(self._linear))
+            found += torque_stresslets(linear, p, torque)
+        return found

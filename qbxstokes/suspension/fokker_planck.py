@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.rheology.distribution import Distribution
-from qbxstokes.rheology.harmonics import Harmonics
-from qbxstokes.rheology.particle import LinearFlow
+from qbxstokes.suspension.distribution import Distribution
+from qbxstokes.suspension.harmonics import Harmonics
+from qbxstokes.suspension.particle import LinearFlow
 
 Array = NDArray[np.float64]
 
@@ -62,6 +62,12 @@ class Transport:
         first = first - (first @ pole) * pole
         first /= np.linalg.norm(first)
         return np.stack([first, np.cross(pole, first), pole]), 2
+
+    @property
+    def matrix(self) -> Array:
+        """W + lambda E (3, 3), over the rate: y' = M y of an axis y/|y|."""
+        g = self.flow.gradient / self.flow.rate
+        return np.asarray(0.5 * (g - g.T) + self.linear * self.flow.strain)
 
     def operators(self, degree: int) -> tuple[Harmonics, Any, Array]:
         """The basis, the matrix of -div(pdot psi) in it, and the eigenvalues (n,) of lap."""

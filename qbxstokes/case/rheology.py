@@ -1,0 +1,122 @@
+"""Section `rheology`: the history of the flow, Peclet numbers, orientations at the start."""
+
+import math
+from typing import Annotated, Any, Literal
+
+from qbxstokes.case.model import (
+    NAME,
+    VECTOR,
+    Instants,
+    Positive,
+    Reader,
+    Section,
+    Tolerance,
+    key,
+    number,
+    pointing,
+    several,
+    some,
+    whole,
+)
+from qbxstokes.case.values import Problem, describe, increasing, to_number
+
+ISOTROPIC = "isotropic"
+
+
+def _or_infinite(value: Any) -> float:
+    return math.inf if value in ("inf", ".inf", math.inf) else to_number(value)
+
+
+_MANY = some(number(_or_infinite, gt=0))
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    return tuple(_MANY.read(value if isinstance(value, (list, tuple)) else [value]))
+
+
+NUMBERS = Reader(_numbers, {"anyOf": [{"type": ["number", "string"]}, _MANY.json]})
+_FORMS: dict[str, Any] = {
+    "aligned": pointing(VECTOR),
+    "orbits": some(number(_or_infinite, ge=0)),
+    "table": NAME,
+}
+
+
+def _orientations(value: Any) -> Any:
+    if value == ISOTROPIC:
+        return value
+    right = "isotropic, {aligned: [x1, x2, x3]}, {orbits: [C, ...]} or {table: FILE.csv}"
+    if not isinstance(value, dict) or len(value) != 1 or next(iter(value)) not in _FORMS:
+        raise Problem(f"is {describe(value)}", right)
+    form, given = next(iter(value.items()))
+    return {form: _FORMS[form].read(given)}
+
+
+ORIENTATIONS = Reader(
+    _orientations,
+    {
+        "anyOf": [
+            {"enum": [ISOTROPIC]},
+            {
+                "type": "object",
+                "properties": {name: reader.json for name, reader in _FORMS.items()},
+                "additionalProperties": False,
+                "minProperties": 1,
+                "maxProperties": 1,
+            },
+        ]
+    },
+)
+
+
+class RheologySection(Section):
+    """A dilute suspension of the body in a homogeneous flow."""
+
+    protocol: Literal["steady", "startup", "cessation", "oscillation"] = key(
+        "history of the flow: steady, from rest, stopped after steady, or back and forth", "steady"
+    )
+    peclet_number: Annotated[tuple[float, ...], NUMBERS] = key(
+        "rate of the flow, sqrt(2 E:E), over rotary diffusivity: numbers, or inf", (10.0,)
+    )
+    amplitude: Positive | None = key(
+        "strain amplitude of an oscillation; its product with the frequency is the rate", None, 2.0
+    )
+    frequency: Positive | None = key(
+        "angular frequency of an oscillation, in place of its amplitude", None, 0.5
+    )
+    times: Instants | None = key(
+        "instants of a transient in units of 1/rate; unset: 201 to 20, or over a cycle",
+        None,
+        [0.0, 1.0, 10.0],
+    )
+    orientations: Annotated[Any, ORIENTATIONS] = key(
+        "at the start, which without Brownian motion stay remembered: isotropic, "
+        "{aligned: [x1, x2, x3]}, {orbits: [C, ...]} or {table: FILE.csv} of x1, x2, x3, weight",
+        ISOTROPIC,
+    )
+    tolerance: Tolerance = key("relative error of the stress to aim at", 1e-8)
+    distribution: Annotated[tuple[int, int], several(whole(ge=3, le=4096), "[n_theta, n_phi]")] = (
+        key("numbers of angles at which densities of orientations are stored", (91, 180))
+    )
+
+    tables: bool = key("also write the densities as CSV files of theta, phi, density", False)
+
+    def _check(self) -> None:
+        given = [n for n in ("amplitude", "frequency") if getattr(self, n) is not None]
+        if self.protocol == "oscillation" and len(given) != 1:
+            wrong = "gives amplitude and frequency" if given else "is missing"
+            right = "give one of amplitude and frequency: their product is the flow's rate"
+            raise Problem(wrong, right, () if given else ("amplitude",))
+        if self.protocol != "oscillation" and given:
+            wrong = f"has no meaning for protocol: {self.protocol}"
+            raise Problem(wrong, "leave it out", (given[0],))
+        if self.times is not None:
+            if self.protocol == "steady":
+                raise Problem("have no meaning for protocol: steady", "leave them out", ("times",))
+            if self.times[0] < 0:
+                raise Problem("is before the start", "instants from 0 on", ("times", 0))
+            increasing(self.times, "times")
+        finite = any(map(math.isfinite, self.peclet_number))
+        if self.orientations != ISOTROPIC and finite:
+            wrong = "are forgotten by Brownian motion"
+            raise Problem(wrong, "peclet_number: inf, or isotropic", ("orientations",))
