@@ -269,6 +269,7 @@ second_normal_stress_difference | N_2 | 1 | Sigma_22 - Sigma_33 over volume frac
 particle_stress | \Sigma | 1 | particle stress over volume fraction, mu and rate | square
 hydrodynamic_stress | \Sigma^H | 1 | its part from the mean stresslet | square
 brownian_stress | \Sigma^B | 1 | its part from rotary Brownian motion | square
+inertial_stress | \Sigma^I | 1 | its part from the particles' own inertia | square
 order_tensor | \langle pp\rangle | 1 | mean of the products of the axis' components | square
 error_estimate | | 1 | estimated relative error of the stress
 theta | \vartheta | rad | angle from e3 of the distribution's axes

@@ -258,5 +258,26 @@ def test_bad_scenes(rod: qs.Body) -> None:
     for flow, says in ((qs.flow("paraboloid"), "homogeneous"), (qs.flow("rotation"), "strain")):
         with pytest.raises(QbxStokesError, match=says):
             qs.rheology(rod, flow)
+    heavy = qs.Body(0.2, stokes_number=1.0)
     with pytest.raises(QbxStokesError, match="stokes_number"):
-        qs.rheology(qs.Body(0.2, stokes_number=1.0), SHEAR)
+        qs.rheology(heavy, SHEAR)
+    with pytest.raises(QbxStokesError, match="isotropic"):
+        qs.rheology(heavy, SHEAR, np.inf)
+
+
+def test_attractors_of_inertial_bodies() -> None:
+    """Tumbling in the plane and rolling: N1 != 0 by inertia, whose own terms cancel to 1e-9."""
+    body = qs.Body(0.5, stokes_number=10.0)
+    tumbling = qs.rheology(body, SHEAR, np.inf, orientations=[1.0, 0.2, 0.0], settling=200.0)
+    own = tumbling.inertial_stress
+    assert max(abs(own[0, 1]), abs(own[1, 1] - own[2, 2]), abs(own[0, 0] - own[1, 1])) < 1e-9
+    assert tumbling.error_estimate < 1e-7
+    assert abs(tumbling.first_normal_stress_difference) > 1e-2
+    massless = qs.rheology(qs.Body(0.5), SHEAR, np.inf, orientations=[1.0, 0.2, 0.0])
+    assert tumbling.intrinsic_viscosity > massless.intrinsic_viscosity
+    light = qs.Body(0.5, stokes_number=1e-3)
+    slow = qs.rheology(light, SHEAR, np.inf, orientations=[1.0, 0.2, 0.0], settling=100.0)
+    assert slow.intrinsic_viscosity == pytest.approx(massless.intrinsic_viscosity, rel=1e-4)
+    rolling = qs.rheology(body, SHEAR, np.inf, orientations=[0.0, 0.0, 1.0], settling=200.0)
+    exact = stress.tensor(stress.stresslet_numbers(0.5), [0, 0, 1], np.eye(3)[[1, 0, 2]] * 0.5)
+    assert rolling.intrinsic_viscosity == pytest.approx(exact[0, 1] / body.shape.volume, rel=1e-9)

@@ -94,6 +94,9 @@ class RheologySection(Section):
         "{aligned: [x1, x2, x3]}, {orbits: [C, ...]} or {table: FILE.csv} of x1, x2, x3, weight",
         ISOTROPIC,
     )
+    settling: Positive = key(
+        "strain that a body with inertia is given to come to its attractor", 400.0
+    )
     tolerance: Tolerance = key("relative error of the stress to aim at", 1e-8)
     distribution: Annotated[tuple[int, int], several(whole(ge=3, le=4096), "[n_theta, n_phi]")] = (
         key("numbers of angles at which densities of orientations are stored", (91, 180))

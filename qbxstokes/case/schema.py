@@ -38,8 +38,6 @@ _FOREIGN = {
         "leave it out, or use task: field": "field",
         "leave it out: orientations are told by rheology.orientations": "start.orientation",
         "leave it out: nothing moves": "start.velocity start.angular_velocity",
-        "leave it out: record particle_stress in the motion of an inertial body": "body.inertia "
-        "body.stokes_number",
         "leave it out: it chooses among the samples of a motion": "output.fields",
     },
     "body": {

@@ -64,6 +64,7 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
             frequency=section.frequency,
             orientations=axes,
             weights=weights,
+            settling=section.settling,
             tolerance=section.tolerance,
             position=scene.position[0],
             workshop=workshop,

@@ -14,6 +14,7 @@ from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.stress import symmetric
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import langevin as brownian
 from qbxstokes.suspension import orbits
@@ -45,7 +46,8 @@ class Rheology:
 
     Arrays have the axes (peclet_number, time, ...), those that were asked for. The rate is that of
     the flow, sqrt(2 E:E), in an oscillation its amplitude. particle_stress (..., 3, 3) is
-    hydrodynamic_stress + brownian_stress; intrinsic_viscosity = Sigma:E/(2 E:E), Sigma_12 of a
+    hydrodynamic_stress + brownian_stress + inertial_stress; intrinsic_viscosity =
+    Sigma:E/(2 E:E), Sigma_12 of a
     shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over rate, NaN in other flows;
     order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a steady state. distribution:
     one or a list of them; the last one of a transient; None without
@@ -61,6 +63,7 @@ class Rheology:
     particle_stress: Array
     hydrodynamic_stress: Array
     brownian_stress: Array
+    inertial_stress: Array
     order_tensor: Array
     error_estimate: Array
     distribution: Any = field(repr=False)
@@ -106,6 +109,7 @@ def rheology(
     frequency: float | None = None,
     orientations: ArrayLike | str = "isotropic",
     weights: ArrayLike | None = None,
+    settling: float = 400.0,
     tolerance: float = 1e-8,
     position: ArrayLike = (0.0, 0.0, 0.0),
     workshop: Workshop | None = None,
@@ -118,7 +122,9 @@ def rheology(
     a long time. protocol: "steady"; "startup" of the flow from rest, with isotropic orientations;
     "cessation" of the steady flow; "oscillation" with the strain amplitude sin(w t), in its
     periodic state: give the strain amplitude or w, the other one is rate/that. times: in units of
-    1/rate. tolerance: of the stress, relative.
+    1/rate. tolerance: of the stress, relative. Bodies with inertia take an infinite Peclet number,
+    a steady flow and axes at the start; each is given the strain `settling` to come to its
+    attractor, over whose last turn the mean is taken.
 
     >>> import numpy as np, qbxstokes as qs
     >>> found = qs.rheology(qs.Body(0.2), qs.flow("shear"), peclet_number=[1e-4, 1.0, 100.0])
@@ -133,18 +139,24 @@ def rheology(
     if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
         raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
     starts = _starts(orientations, weights, numbers)
-    if np.any(body.stokes_number):
-        right = "0: record particle_stress in the motion of an inertial body"
+    if np.any(body.stokes_number) and (np.any(np.isfinite(numbers)) or protocol != "steady"):
+        right = "0: inertial bodies take peclet_number: inf and protocol: steady"
         raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
     homogeneous = linear_flow(flow, position)
     particle, error = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
     cycle = _frequency(protocol, amplitude, frequency, homogeneous.rate)
     instants = _instants(protocol, times, cycle)
-    found = [
-        _one(transport, particle, float(peclet), protocol, instants, cycle, starts, tolerance)
-        for peclet in np.atleast_1d(numbers)
-    ]
+    if np.any(body.stokes_number):
+        means = inertial_means(body, flow, starts, homogeneous.rate, settling, tolerance)
+        nothing = np.zeros((3, 3))
+        means |= {"brownian_stress": nothing, "distribution": None, "degree": 0}
+        found = [{**means, "error_estimate": np.array(means["error_estimate"])}] * numbers.size
+    else:
+        found = [
+            _one(transport, particle, float(peclet), protocol, instants, cycle, starts, tolerance)
+            for peclet in np.atleast_1d(numbers)
+        ]
     stacked = {
         name: np.stack([one[name] for one in found]).reshape(
             numbers.shape + np.shape(found[0][name])
@@ -154,7 +166,9 @@ def rheology(
     }
     stacked["error_estimate"] = stacked["error_estimate"] + error
     distributions = [one["distribution"] for one in found]
-    stress = stacked["hydrodynamic_stress"] + stacked["brownian_stress"]
+    stacked.setdefault("inertial_stress", np.zeros_like(stacked["hydrodynamic_stress"]))
+    stress = sum(stacked[f"{name}_stress"] for name in ("hydrodynamic", "brownian", "inertial"))
+    assert not isinstance(stress, int)
     return Rheology(
         peclet_number=numbers,
         time=instants,
