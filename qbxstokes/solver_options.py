@@ -66,6 +66,8 @@ def misleading(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Options that would make a run wrong without a word: name, what is wrong, what is right."""
     for name, value in options.items():
         given = text_of(value).lower()
+        if value is None and name in _CHOICES:
+            continue  # in a sweep of options: not given, the program chooses
         if name in _REFUSED:
             yield name, "would move the end, the samples or the error of a motion", _REFUSED[name]
         elif name in _CHOICES and given not in _CHOICES[name]:
@@ -94,6 +96,6 @@ def given(options: Mapping[str, Any]) -> dict[str, str | None]:
         if _SHOWING.search(name):
             if text.lower() not in _OFF:
                 found[name] = None
-        else:
+        elif text or name not in _CHOICES:
             found[name] = text or None
     return found

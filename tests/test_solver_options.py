@@ -74,6 +74,8 @@ def test_monitors_mean_what_they_say() -> None:
     assert given({**asked, "ksp_rtol": 1e-9}) == {
         "ts_monitor": None, "log_view": None, "ksp_rtol": "1e-09"
     }  # fmt: skip
+    assert given({"ts_type": None}) == {}  # a value of a swept option: the program chooses
+    assert case_of({**CASE, "petsc": {"ts_type": None}}).case.petsc == {"ts_type": None}
     with pytest.raises(CaseError, match="neither on nor off"):
         case_of({**CASE, "petsc": {"ts_monitor": "maybe"}})
 
