@@ -100,9 +100,9 @@ def test_blocks_are_as_accurate_as_the_loop_they_are_compared_with() -> None:
     q = rotation.random_quaternions(2, np.random.default_rng(0))
     starts = np.concatenate([np.zeros((2, 3)), q], axis=1)
     scipy_loop = script("benchmarks/batch").scipy_loop
-    axes, evaluations, steps = scipy_loop(starts, jeffery.period(0.5), 1e-10)
+    axes, evaluations = scipy_loop(starts, jeffery.period(0.5), 1e-10)
     assert np.allclose(axes, rotation.axis(q), atol=1e-8)
-    assert evaluations > 12 * steps > 100
+    assert evaluations > 100
 
 
 def test_field() -> None:

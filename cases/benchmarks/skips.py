@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from measure import Rows, command, timed
 
-from qbxstokes.bie.accuracy import accurate_body, choose_scheme, plain_body
-from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, faxen_coefficients
+from qbxstokes.bie.accuracy import accurate_body, choose_scheme
+from qbxstokes.bie.functional import BodyModel, faxen_coefficients
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
-from qbxstokes.flows.named import Paraboloid, Shear
+from qbxstokes.flows.named import Shear
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -97,17 +97,6 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     constants = unpack_flow(pack_flow(Shear()).tolist()), law, None, None
     general = many(lambda t, rows: fore_aft.massless(rows, *constants), state)
     yield "terms that are zero at a right-hand side", general, many(equations.rate_of_rows, state)
-    ball = plain_body(Spheroid(1.0), scheme).model
-    laws = ball.faxen.quadratic, ball.faxen.cubic
-
-    def sphere(faxen: FaxenCoefficients) -> Work:
-        """Coefficients too small to count keep the axis in."""
-        equations = RigidBodyEquations(replace(ball, faxen=faxen), Paraboloid(0.5))
-        return many(equations.rate_of_rows, equations.initial_state((0.3, 2.0, 0.0), Q[0]))
-
-    kept = FaxenCoefficients(1e-300, *(np.maximum(c, 1e-300) for c in laws))
-    sphere_without = sphere(FaxenCoefficients(0.0, *laws))
-    yield "axis of a sphere at a right-hand side", sphere(kept), sphere_without
     for stokes_number in (0.0, 10.0):
         moving, still = (partial(turned, model, stokes_number, u) for u in (1e-300, 0.0))
         moving(), still()  # compile what a fresh machine has not
@@ -125,17 +114,11 @@ def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
     return integrate(block, start, [jeffery.period(model.aspect_ratio)], 1e-8).states[-1, :, 3:7]
 
 
-def skips(k: float = 0.5) -> Iterator[tuple[str, Work, Work]]:
-    """Name of each skip, the work without it and with it; both give comparable arrays."""
-    session.start([])
-    yield from set_up_skips(k)
-    yield from step_skips(k)
-
-
 def main(small: bool = False) -> dict[str, Rows]:
     """A row per skip."""
+    session.start([])
     rows: Rows = []
-    for name, full, short in skips():
+    for name, full, short in (*set_up_skips(0.5), *step_skips(0.5)):
         slow, before = timed(full, 1 if small else 7, time.thread_time)
         fast, after = timed(short, 1 if small else 7, time.thread_time)
         change = float(np.max(np.abs(before - after)) / np.max(np.abs(before)))

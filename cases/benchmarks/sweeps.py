@@ -92,7 +92,7 @@ def told(trial: Trial, path: Path, *more: str) -> dict[str, Any]:
     """What the command says of a trial."""
     path.write_text(trial.text())
     words = [sys.executable, "-m", "qbxstokes", path.name, "--json", "--overwrite", *more]
-    told: dict[str, Any] = json.loads(run([*words, "--progress", "none"], path.parent).output)
+    told: dict[str, Any] = json.loads(run([*words, "--progress", "none"], path.parent)[1])
     return told
 
 
