@@ -43,7 +43,7 @@ def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     """Those of the set-up: name, the work without the skip, the work with it."""
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
     both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
-    half = independent_rows(scheme.n_theta)
+    half = independent_rows(spheroid, scheme.n_theta)
 
     def whole(completion: Any) -> Any:
         faxen = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
@@ -122,7 +122,8 @@ def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
     block = RigidBodyEquations(model, moved, stokes_number, BLOCK, evaluation="compiled")
     orientations = rotation.random_quaternions(BLOCK, np.random.default_rng(0))
     start = block.initial_state(np.zeros(3), orientations)
-    return integrate(block, start, [jeffery.period(model.aspect_ratio)], 1e-8).states[-1, :, 3:7]
+    period = jeffery.period(model.effective_ratio)
+    return integrate(block, start, [period], 1e-8).states[-1, :, 3:7]
 
 
 def skips(k: float = 0.5) -> Iterator[tuple[str, Work, Work]]:

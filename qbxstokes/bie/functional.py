@@ -8,6 +8,7 @@ weighted sum over the surface grid for any other flow (`GridFunctional`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -19,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.rigid import RigidMode
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.registry import build_shape
+from qbxstokes.geometry.shape import Shape
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 
 Array = NDArray[np.float64]
@@ -122,19 +125,32 @@ class ErrorParts:
 
 @dataclass(frozen=True)
 class BodyModel:
-    """Hydrodynamics of one spheroid, formed once per aspect ratio and discretisation.
+    """Hydrodynamics of one body, formed once per shape and discretisation.
 
     formed_resistance: None where it was left out, for bodies on which no force acts.
     error_estimate: relative error of resistance and free motion; without error_parts only the
     misfit of the law for polynomial flows.
     """
 
-    aspect_ratio: float
+    shape: Shape
     formed_resistance: Resistance | None
     faxen: FaxenCoefficients
     grid: GridFunctional | None
     error_estimate: float
     error_parts: ErrorParts | None = None
+
+    @property
+    def effective_ratio(self) -> float:
+        """k of the spheroid whose axis moves alike in every linear flow; NaN where none does.
+
+        lambda = (1 - k^2)/(1 + k^2) (Bretherton 1962, J. Fluid Mech. 14, eq. 15 f.), from the shape
+        where it knows it without rounding.
+        """
+        if self.shape.effective_ratio is not None:
+            return self.shape.effective_ratio
+        rest = self.faxen.rest
+        squared = rest / (1.0 - rest) if self.faxen.linear >= 0.0 else (1.0 - rest) / rest
+        return math.sqrt(squared) if squared > 0.0 else math.nan
 
     @property
     def resistance(self) -> Resistance:
@@ -147,7 +163,7 @@ class BodyModel:
         """Plain arrays that hold the model, for storage; `from_arrays` restores it."""
         f = self.faxen
         arrays = {
-            "aspect_ratio": np.array(self.aspect_ratio),
+            "shape": np.array(json.dumps(self.shape.spec())),
             "linear": np.array(f.linear),
             "quadratic": f.quadratic,
             "cubic": f.cubic,
@@ -170,7 +186,7 @@ class BodyModel:
         """Model of the arrays that `to_arrays` made."""
         grid = GridFunctional(arrays["points"], arrays["weights"]) if "points" in arrays else None
         return cls(
-            float(arrays["aspect_ratio"]),
+            build_shape(shape=json.loads(str(arrays["shape"]))),
             Resistance(*arrays["resistance"].tolist()) if "resistance" in arrays else None,
             FaxenCoefficients(
                 float(arrays["linear"]),
@@ -295,7 +311,7 @@ def resistance(functional: ModalFunctional, completion: dict[str, Array]) -> Res
         return None
     weights = functional.weights
     numbers = {name: 1.0 / float(weights[name] @ completion[name]) for name in weights}
-    if functional.grid.spheroid.aspect_ratio == 1.0:
+    if functional.grid.shape.symmetry == "sphere":
         for kind in ("translation", "rotation"):
             across, along = f"{kind}_transverse", f"{kind}_axial"
             mean = (2.0 * numbers[across] + numbers[along]) / 3.0
@@ -356,7 +372,7 @@ def faxen_coefficients(functional: ModalFunctional) -> tuple[FaxenCoefficients, 
         measured = (motion[:, :3] if degree == 2 else motion[:, 3:]) - known
         matrix = np.moveaxis(terms, 0, -1).reshape(-1, len(terms))
         free = slice(None)
-        if functional.grid.spheroid.aspect_ratio == 1.0:
+        if functional.grid.shape.symmetry == "sphere":
             free = slice(1 if degree == 2 else 0)
         solution = np.zeros(len(terms))
         solution[free] = np.linalg.lstsq(matrix[:, free], measured.ravel(), rcond=None)[0]

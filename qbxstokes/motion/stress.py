@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 _UNIT: Array = np.eye(3)
 
 
-def mean_strain(flow: PolynomialFlow, x: Array, p: Array, aspect_ratio: float | Array) -> Array:
-    """Strain rate's mean (n, 3, 3) over the volume of spheroids at x (n, 3) with axes p (n, 3)."""
+def mean_strain(flow: PolynomialFlow, x: Array, p: Array, k: float | Array) -> Array:
+    """Strain rate's mean (n, 3, 3) over spheroids (k, k, 1) at x (n, 3) with axes p (n, 3)."""
     gradient, second = flow.gradient(x), flow.third
     if flow.degree == 3:
-        square = np.reshape(np.asarray(aspect_ratio) ** 2, (-1, 1, 1))
+        square = np.reshape(np.asarray(k) ** 2, (-1, 1, 1))
         laplacian = np.einsum("ijkk->ij", second)
         twice = np.einsum("nkl,ijkl->nij", p[:, :, None] * p[:, None, :], second)
         gradient = gradient + 0.1 * (square * laplacian + (1.0 - square) * twice)
