@@ -138,7 +138,7 @@ FAULTS = {
                        r":4: hydrodynamics.solve: .*did you mean every_step\?"),
     "forbidden radius": ("start:", "hydrodynamics: {scheme: uniform, n_theta: 20, n_phi: 20, "
                          "expansion_order: 8, upsampling: 4, r_over_h: 2}\nstart:",
-                         r":4: hydrodynamics.r_over_h: .*r <= 0.25 of the spheroid.*; r_over_h <= 0.79"),
+                         r":4: hydrodynamics.r_over_h: .*r <= 0.25 of the .*r_over_h <= 0.79"),
     "uniform without numbers": ("start:", "hydrodynamics: {scheme: uniform}\nstart:",
                                 r":4: hydrodynamics.n_theta: is missing"),
     "foreign scheme": ("start:", "hydrodynamics: {upsampling: 4}\nstart:",
