@@ -185,7 +185,7 @@ def _needed_samples(loaded: LoadedCase) -> int:
     if period_of(loaded) is None:
         return _SAMPLES[0]
     gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
-    k = loaded.case.body.aspect_ratio
+    k = body_of(loaded).effective_ratio
     shape = abs((1.0 - k * k) / (1.0 + k * k))
     spin = np.linalg.norm(gradient - gradient.T) / np.sqrt(8.0)
     fastest = spin + shape * np.linalg.norm(0.5 * (gradient + gradient.T), 2)
