@@ -9,7 +9,7 @@ import pytest
 
 import qbxstokes as qs
 from qbxstokes.bie.accuracy import choose_scheme
-from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.stresslet import STRAINS, GridStress, accurate_stresslet, stresslet_of
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid

@@ -16,7 +16,7 @@ from measure import Rows, command
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import accurate_body
-from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.resolution import flow_nodes, resolving_nodes
 from qbxstokes.flows import Flow, PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet

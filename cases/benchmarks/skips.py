@@ -20,7 +20,8 @@ import numpy as np
 from measure import Rows, command, timed
 
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme, plain_body
-from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, faxen_coefficients
+from qbxstokes.bie.faxen import faxen_coefficients
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows.named import Paraboloid, Shear

@@ -33,7 +33,7 @@ from qbxstokes.bie.operators import (
 )
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import POLYNOMIAL_NODES
-from qbxstokes.errors import ConvergenceError
+from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.operator import (
@@ -150,6 +150,8 @@ def accurate_body(
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
+    if not shape.fore_aft:
+        raise CaseError(f"the law of a body without fore-aft symmetry is not known: {shape}")
     trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
         body = _form(shape, trial, completion, solver, form_rows)

@@ -10,11 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.bie.faxen import faxen_coefficients
 from qbxstokes.bie.functional import (
     BodyModel,
     ModalFunctional,
     adjoint_weights,
-    faxen_coefficients,
     resistance,
 )
 from qbxstokes.bie.mobility import mobility_blocks

@@ -25,7 +25,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Scatterer:
-    """Exterior flows of a body with exterior harmonics from velocities on n polar and 2 n azimuthal nodes."""
+    """Exterior flows from velocities on n polar and 2 n azimuthal nodes, by exterior harmonics."""
 
     shape: Revolution
     n: int

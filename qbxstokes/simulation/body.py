@@ -216,7 +216,7 @@ class Body:
         >>> np.round(np.diag(qs.Body(1.0).resistance) / np.pi, 9)
         array([6., 6., 6., 8., 8., 8.])
         """
-        return resistance_matrix(self.model)
+        return self.model.resistance.matrix
 
     @property
     def mobility(self) -> Array:
@@ -385,13 +385,6 @@ class Body:
         around = AroundBody(self.shape, flow, self.settings, tolerance)
         whole = around.at(Instant(t, x[0], q[0], v, omega))
         return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), tolerance)
-
-
-def resistance_matrix(model: BodyModel) -> Array:
-    """Matrix R (6, 6), body frame: (force, torque) ON the body = -R (V, Omega)."""
-    r = model.resistance
-    across, about = r.translation_transverse, r.rotation_transverse
-    return np.diag([across, across, r.translation_axial, about, about, r.rotation_axial])
 
 
 def _settings(given: Mapping[str, Any]) -> Hydrodynamics:

@@ -13,7 +13,6 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.body import resistance_matrix
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.exact import true_error
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
@@ -45,7 +44,7 @@ class Law:
     def arrays(self) -> dict[str, Array]:
         """The quantities of `quantities.BODY` by name; those in a flow where there is one."""
         model = self.formed.model
-        resistance = resistance_matrix(model)
+        resistance = model.resistance.matrix
         found = {
             "resistance": resistance,
             "mobility": np.diag(1.0 / np.diag(resistance)),
