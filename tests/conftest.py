@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 
 from qbxstokes.__main__ import main
-from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.cli.main import split_arguments
 from qbxstokes.flows.polynomial import PolynomialFlow
 

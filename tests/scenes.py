@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import AccurateBody, accurate_body
-from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import SolveMotion
 from qbxstokes.flows import PolynomialFlow

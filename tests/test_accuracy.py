@@ -16,7 +16,6 @@ from qbxstokes.bie.accuracy import (
     estimate_error,
     plain_body,
 )
-from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.operators import modal_functional, surface_operators
 from qbxstokes.bie.providers import (
     AdaptiveGridMotion,
@@ -24,7 +23,7 @@ from qbxstokes.bie.providers import (
     MonitoredGridMotion,
     SolveMotion,
 )
-from qbxstokes.bie.resolution import confocal_rate, flow_error, flow_nodes, resolving_nodes
+from qbxstokes.bie.resolution import flow_error, flow_nodes, resolving_nodes
 from qbxstokes.errors import ConvergenceError, FlowError
 from qbxstokes.flows.named import Shear
 from qbxstokes.flows.singularities import Stokeslet
@@ -33,6 +32,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import UniformScheme
 from qbxstokes.reference import faxen
+from qbxstokes.simulation.exact import true_error
 
 honesty = script("benchmarks/honesty")
 RATIOS = [1 / 50, 0.2, 1.0, 3.0, 50.0]
@@ -131,13 +131,13 @@ def test_the_adjoint_density_is_resolved_and_carries_over_to_other_grids(k):
 
 def test_confocal_rate():
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.3, 0.4, 0.0]])
-    assert np.allclose(confocal_rate(0.5, points), 1.0)
-    assert np.allclose(confocal_rate(1.0, 3.0 * np.eye(3)), 1 / 3)
+    assert np.allclose(Spheroid(0.5).decay(points), 1.0)
+    assert np.allclose(Spheroid(1.0).decay(3.0 * np.eye(3)), 1 / 3)
     # On the axis of a prolate body: (k + 1)/(sqrt(z^2 - e^2) + z).
     z, k = 1.7, 0.2
     exact = (1 + k) / (np.sqrt(z * z - 1 + k * k) + z)
-    assert confocal_rate(k, [0.0, 0.0, z]) == pytest.approx(exact, rel=1e-13)
-    assert np.all(np.diff(confocal_rate(7.0, np.outer(np.linspace(7, 90, 30), [1, 0, 0]))) < 0)
+    assert Spheroid(k).decay([0.0, 0.0, z]) == pytest.approx(exact, rel=1e-13)
+    assert np.all(np.diff(Spheroid(7.0).decay(np.outer(np.linspace(7, 90, 30), [1, 0, 0]))) < 0)
 
 
 @pytest.mark.parametrize(("k", "distance"), [(0.1, 1.2), (0.1, 4.0), (1.0, 1.5), (8.0, 10.0)])
@@ -147,7 +147,7 @@ def test_nodes_from_the_rate_resolve_a_singularity(k, distance):
         place = distance * direction
         flow = Stokeslet([1.0, -0.4, 0.7], place)
         for tolerance in (1e-5, 1e-9):
-            nodes = flow_nodes(float(confocal_rate(k, place)), tolerance)
+            nodes = flow_nodes(float(Spheroid(k).decay(place)), tolerance)
             *found, error = resolving_nodes(functional, flow.velocity, tolerance, nodes)
             assert error <= tolerance
             assert found[0] <= 1.7 * nodes[0]

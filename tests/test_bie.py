@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from qbxstokes.bie.functional import BodyModel, stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows.polynomial import PolynomialFlow

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.case.load import load_case
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.layout import Step
 from qbxstokes.petsc import stepper
@@ -21,6 +21,7 @@ from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.system import RK_FORMULAS
 from qbxstokes.petsc.trajectory import Chunk
 from qbxstokes.runs.scenes import Scenes
+from qbxstokes.simulation.exact import exact_model
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -36,7 +37,7 @@ def odd_cubic(centre: Any) -> PolynomialFlow:
 
 
 def equations_of(flow: Any, stokes_number: Any, *more: Any) -> RigidBodyEquations:
-    return RigidBodyEquations(exact_model(0.5), flow, stokes_number, N, *more)
+    return RigidBodyEquations(exact_model(Spheroid(0.5)), flow, stokes_number, N, *more)
 
 
 def start_of(equations: RigidBodyEquations, place: Any, spin: Any = None) -> Array:

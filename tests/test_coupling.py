@@ -126,16 +126,13 @@ def test_gaps_are_those_of_geometry() -> None:
     for _ in range(4):
         axes = rotation.matrix(rotation.random_quaternions(2, rng))
         bodies = [
-            Placed(0.3, 1.0, np.zeros(3), axes[0]),
-            Placed(2.0, 0.8, np.array([3.0, 1, 1]), axes[1]),
+            Placed(qs.Spheroid(0.3), 1.0, np.zeros(3), axes[0]),
+            Placed(qs.Spheroid(2.0), 0.8, np.array([3.0, 1, 1]), axes[1]),
         ]
         gap = closest(bodies, None)[0]
         theta, phi = np.meshgrid(np.linspace(0, np.pi, 40), np.linspace(0, 2 * np.pi, 80))
         a, b = (
-            one.position
-            + one.size
-            * qs.Spheroid(one.aspect_ratio).surface(theta, phi).reshape(-1, 3)
-            @ one.rotation.T
+            one.position + one.size * one.shape.surface(theta, phi).reshape(-1, 3) @ one.rotation.T
             for one in bodies
         )
         least = math.sqrt(min(np.min(np.sum((b - p) ** 2, axis=1)) for p in a))
@@ -158,7 +155,7 @@ def test_what_cannot_be_served_is_told() -> None:
 
 
 def test_exterior_maps_are_those_of_the_field() -> None:
-    one = scatterer(0.5, 12)
+    one = scatterer(qs.Spheroid(0.5), 12)
     rng = np.random.default_rng(0)
     x = rng.normal(size=(20, 3))
     x *= (rng.uniform(1.2, 3.0, 20) / np.linalg.norm(x, axis=1))[:, None]

@@ -10,7 +10,7 @@ import pytest
 
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.flows import build_flow
-from qbxstokes.flows.domain import channel, extent, tube
+from qbxstokes.flows.domain import channel, tube
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import ShearFrame
@@ -34,7 +34,7 @@ SHEAR = build_flow({"type": "shear"}).polynomial
 
 def equations_of(k: float, flow: Any = SHEAR, stokes: float = 0.0) -> RigidBodyEquations:
     model = BodyModel(
-        k,
+        Spheroid(k),
         Resistance(*faxen.resistance(k)),
         FaxenCoefficients(*faxen.body_coefficients(k)),
         None,
@@ -44,7 +44,7 @@ def equations_of(k: float, flow: Any = SHEAR, stokes: float = 0.0) -> RigidBodyE
 
 
 def watch(equations: RigidBodyEquations, *events: Event, half_turns: bool = False) -> Events:
-    k = equations.model.aspect_ratio
+    k = equations.model.shape.aspect_ratio
     passage = Passage.of(SHEAR.gradient_tensor, k) if half_turns else None
     return Events(equations, passage, events, ShearFrame.of(SHEAR.gradient_tensor))
 
@@ -119,7 +119,7 @@ def test_steady_state_in_extension_is_found() -> None:
 def test_meeting_a_point_is_seen_from_the_surface() -> None:
     equations = equations_of(1.0)
     start = equations.initial_state([-4, 1, 0], [1, 0, 0, 0])  # a unit sphere moving at speed 1
-    gap = singular_gap(np.array([[0.0, 1.0, 0.0]]), 1.0, 0.5)
+    gap = singular_gap(np.array([[0.0, 1.0, 0.0]]), Spheroid(1.0), 0.5)
     events = Events(equations, contacts=Contacts([gap], np.ones(1)))
     found = integrate(equations, start, [20.0], 1e-9, observe=events)
     assert found.states[-1, 0, 0] == pytest.approx(-1.5, abs=1e-8)
@@ -156,7 +156,7 @@ def farthest(k: float, axis: Any, centre: Any) -> float:
 def test_gaps_are_distances_of_surfaces(k: float) -> None:
     rng = np.random.default_rng(3)
     for axis in [*rotation.random_axes(3, rng), np.eye(3)[0], np.eye(3)[1]]:
-        body, place = extent(axis, k), rng.uniform(-2.0, 2.0, 3)
+        body, place = Spheroid(k).extent(axis), rng.uniform(-2.0, 2.0, 3)
         for centre in (place, 0.0 * place, place * [1, 0, 1]):
             (wall,) = tube(9.0)
             assert wall.gap(centre, body) == pytest.approx(
@@ -183,7 +183,7 @@ def test_a_passing_touch_between_the_ends_of_a_step_is_seen() -> None:
     start = equations.initial_state([0, 0, 0], rotation.from_axis(np.array([1.0, -0.3, 0.0])))
     end = np.array([jeffery.period(0.1)])
     for height in (0.999999, 0.9, 0.6):
-        gaps = [edge_gap(edge, 0.1, slice(None)) for edge in channel(height)]
+        gaps = [edge_gap(edge, Spheroid(0.1), slice(None)) for edge in channel(height)]
         events = Events(equations, contacts=Contacts(gaps, np.ones(1)))
         found = integrate(equations, start, end, 1e-8, method="8vr", observe=events)
         assert events.ended[0] == "domain_exit"

@@ -22,10 +22,11 @@ from qbxstokes.bie.lines import MovingFlow, integrate_lines, streamlines
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.exterior import Harmonics, SurfaceToExterior
 from qbxstokes.qbx.operator import GradedScheme, layer_rows
-from qbxstokes.qbx.volume import LayerPotentials, nearest
+from qbxstokes.qbx.volume import LayerPotentials
 from qbxstokes.reference import faxen
 from qbxstokes.reference.translation import translating_flow
 
@@ -91,7 +92,7 @@ def test_traction_of_a_translating_body(k):
     around = FlowAround(body, stokes, np.zeros(3), np.eye(3))
     theta, phi = np.linspace(0, np.pi, 7), np.linspace(0, 6, 5)
     found = around.surface(theta, phi)["traction"]
-    support = k / Spheroid(k).q(theta)
+    support = k / Spheroid(k).speed(theta)
     across, along = faxen.resistance(k)[:2]
     drag = -np.array([across, across, along]) * velocity
     exact = drag * support[:, None, None] / (4.0 * np.pi * k * k)
@@ -182,7 +183,7 @@ def test_convergence_in_the_order_of_the_expansion(factor, share):
     for order in orders:
         coarse = LayerPotentials(layer.grid, layer.density, layer.weight, int(order), share)
         errors.append(np.abs(coarse.evaluate(x[None], method="expansion")[0] - exact).max())
-    theta, _ = nearest(k, x[0], x[2])
+    theta, _ = Spheroid(k).nearest(x[0], x[2])
     radius = share * float(Spheroid(k).admissible_radius(theta))
     centre = Spheroid(k).surface(theta, 0.0) + radius * Spheroid(k).normal(theta, 0.0)
     focus = np.sqrt(1 - k * k)
@@ -293,7 +294,7 @@ def test_nearest_point():
         theta = np.array([0.0, 0.3, 1.2, np.pi / 2, 3.0])
         for t, d in ((t, d) for t in theta for d in (0.0, 1e-9, 0.1, 30.0)):
             x = body.surface(t, 0.0) + d * body.normal(t, 0.0)
-            found, distance = nearest(k, x[0], x[2])
+            found, distance = Spheroid(k).nearest(x[0], x[2])
             assert distance == pytest.approx(d, abs=1e-13 * max(1.0, k))
             assert found == pytest.approx(t, abs=1e-6)
 
@@ -382,7 +383,7 @@ def test_path_lines_conserve_the_stream_function():
         return moving.relative_velocity(t, zero, np.eye(3), zero, zero, x)
 
     starts = np.array([[0.05, 0.0, -3.0], [0.5, 0.2, -2.0], [0.0, 1e-3, -1.5]])
-    lines = integrate_lines(velocity, starts, 1.0, np.linspace(0, 20, 40), 1e-10, False)
+    lines = integrate_lines(velocity, starts, (1.0, 1.0, 1.0), np.linspace(0, 20, 40), 1e-10, False)
     r = np.linalg.norm(lines, axis=-1)
     psi = (lines[..., 0] ** 2 + lines[..., 1] ** 2) * (0.5 - 0.75 / r + 0.25 / r**3)
     assert r.min() > 1.0

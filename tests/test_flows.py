@@ -23,7 +23,6 @@ from qbxstokes.flows import (
     check_regular,
     check_singularities,
     check_stokesian,
-    clearance,
     resolve_paths,
 )
 from qbxstokes.flows.differences import gradient_of, laplacian_of
@@ -31,6 +30,7 @@ from qbxstokes.flows.polynomial import parse_monomial
 from qbxstokes.flows.user import load_function
 from qbxstokes.flows.values import rotation_matrix
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 
 CUBIC = {
     "type": "polynomial",
@@ -265,7 +265,7 @@ def test_clearance_is_the_distance_to_the_surface(k):
     x = centre + rng.uniform(-2 * far, 2 * far, (12, 3))
     x[0], x[1] = centre, centre + 0.3 * axis
     x[2], x[3] = centre + 1.5 * axis, centre + 0.4 * k * np.array([0.8, 0.0, -0.6])
-    found = clearance(x, centre, axis, k)
+    found = Spheroid(k).clearance(x, centre, axis)
     height = (x - centre) @ axis
     width = np.linalg.norm(x - centre - height[:, None] * axis, axis=1)
     theta = np.linspace(0.0, np.pi, 200001)
@@ -275,7 +275,7 @@ def test_clearance_is_the_distance_to_the_surface(k):
     ]
     sign = np.where((width / k) ** 2 + height**2 < 1, -1, 1)
     assert found == pytest.approx(sign * brute, abs=1e-4 * k * 1e-2, rel=1e-7)
-    several = clearance(x, np.stack([centre, centre + 1.0]), np.stack([axis, axis]), k)
+    several = Spheroid(k).clearance(x, np.stack([centre, centre + 1.0]), np.stack([axis, axis]))
     assert several.shape == (2, 12)
     assert several[0] == pytest.approx(found)
 
@@ -283,12 +283,12 @@ def test_clearance_is_the_distance_to_the_surface(k):
 def test_singularity_in_or_near_the_body_is_refused():
     flow = Shear() + Stokeslet([1.0, 0.0, 0.0], [0.0, 0.0, 1.5])
     axis = [0.0, 0.0, 1.0]
-    assert check_singularities(flow, [0.0] * 3, axis, 0.5) == pytest.approx(0.5)
-    assert check_singularities(Shear(), [0.0] * 3, axis, 0.5) == np.inf
+    assert check_singularities(flow, [0.0] * 3, axis, Spheroid(0.5)) == pytest.approx(0.5)
+    assert check_singularities(Shear(), [0.0] * 3, axis, Spheroid(0.5)) == np.inf
     with pytest.raises(FlowError, match=r"\(0, 0, 1\.5\).*0\.5 from its surface.*more than 0\.6"):
-        check_singularities(flow, [0.0] * 3, axis, 0.5, minimum=0.6)
+        check_singularities(flow, [0.0] * 3, axis, Spheroid(0.5), minimum=0.6)
     with pytest.raises(FlowError, match="inside the body"):
-        check_singularities(flow, [[9.0] * 3, [0.0, 0.1, 0.7]], [axis, axis], 0.5)
+        check_singularities(flow, [[9.0] * 3, [0.0, 0.1, 0.7]], [axis, axis], Spheroid(0.5))
 
 
 @pytest.mark.parametrize("k", [0.05, 0.5, 1.0, 1.1, 4.0])
@@ -310,17 +310,17 @@ def test_singular_points_that_nobody_declares_are_found_inside_the_body(k):
         inside = centre + aside * across + along * axis
         assert not flow(inside).singular_points_known
         with pytest.raises(FlowError, match="singular inside the body"):
-            check_regular(flow(inside), centre, axis, k)
+            check_regular(flow(inside), centre, axis, Spheroid(k))
         for factor in (1.02, 1.2):
-            check_regular(flow(centre + factor * k * across), centre, axis, k)
-            check_regular(flow(centre + factor * axis), centre, axis, k)
+            check_regular(flow(centre + factor * k * across), centre, axis, Spheroid(k))
+            check_regular(flow(centre + factor * axis), centre, axis, Spheroid(k))
 
 
 def test_regular_flows_pass_whatever_their_size():
     for flow in (Shear(), 1e-9 * Shear(), Uniform([1e6, 0.0, 0.0]) + Shear()):
         hidden = UserFlow(flow.velocity)
         for k in (0.02, 1.0, 20.0):
-            check_regular(hidden, [1.0, 20.0, 3.0], [0.6, 0.0, 0.8], k)
+            check_regular(hidden, [1.0, 20.0, 3.0], [0.6, 0.0, 0.8], Spheroid(k))
 
 
 # -- user functions ---------------------------------------------------------------------------

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.reference import heavy
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
+from qbxstokes.simulation.exact import exact_model
 
 Array = Any
 
@@ -154,10 +155,12 @@ def test_sphere_does_not_drift(stokes_number: float) -> None:
 def test_part_without_inertia_follows_the_flow(inertia: Inertia) -> None:
     n, rng = 9, np.random.default_rng(3)
     x, q = rng.normal(size=(n, 3)), rotation.random_quaternions(n, rng)
-    equations = RigidBodyEquations(exact_model(0.4), paraboloid(), 2.0, n, inertia=inertia)
+    equations = RigidBodyEquations(
+        exact_model(Spheroid(0.4)), paraboloid(), 2.0, n, inertia=inertia
+    )
     y = equations.initial_state(x, q, rng.normal(size=3), rng.normal(size=3))
     v, omega = equations.velocities(0.0, y)
-    free = RigidBodyEquations(exact_model(0.4), paraboloid(), 0.0, n)
+    free = RigidBodyEquations(exact_model(Spheroid(0.4)), paraboloid(), 0.0, n)
     u, spin = free.velocities(0.0, free.initial_state(x, q))
     followed = (omega, spin) if inertia == "translation" else (v, u)
     kept = (v, u) if inertia == "translation" else (omega, spin)
@@ -177,7 +180,7 @@ def test_its_jacobian_is_exact_and_compiled_is_plain(inertia: Inertia) -> None:
     x, q = rng.normal(size=(n, 3)), rotation.random_quaternions(n, rng)
     plain, fast = (
         RigidBodyEquations(
-            exact_model(2.5), paraboloid(), 0.7, n, evaluation=evaluation, inertia=inertia
+            exact_model(Spheroid(2.5)), paraboloid(), 0.7, n, evaluation=evaluation, inertia=inertia
         )
         for evaluation in ("plain", "compiled")
     )

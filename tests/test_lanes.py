@@ -13,20 +13,21 @@ from conftest import random_flow
 from petsc4py import PETSc
 
 import qbxstokes as qs
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients
 from qbxstokes.flows.named import Paraboloid, Shear
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.layout import Layout
 from qbxstokes.petsc.native import native_rate
 from qbxstokes.petsc.stepper import integrate
+from qbxstokes.simulation.exact import exact_model
 
 Array = np.ndarray
 RNG = np.random.default_rng(6)
 N = 70  # more than a tile
-MODELS = [exact_model(k) for k in np.geomspace(0.05, 20.0, 7)]
+MODELS = [exact_model(Spheroid(k)) for k in np.geomspace(0.05, 20.0, 7)]
 FLOWS = [
     Shear(),
     Paraboloid(0.3),
@@ -167,7 +168,7 @@ def test_what_is_told_of_lanes(massless: bool, constraints: Constraints | None) 
         twice = np.concatenate(getattr(many, told)(0.0, np.tile(y, (2, 1))), axis=1)
         assert np.array_equal(twice, np.tile(found, (2, 1)))
     assert np.allclose(rates(block, y), [rates(one, row)[0] for one, row in pairs], rtol=1e-13)
-    assert np.array_equal(block.aspect_ratio, [one.model.aspect_ratio for one in single])
+    assert np.array_equal(block.effective_ratio, [one.model.shape.aspect_ratio for one in single])
     assert np.array_equal(
         block.relaxation_rates, np.concatenate([one.relaxation_rates for one in single], axis=1)
     )
@@ -351,9 +352,9 @@ def test_a_block_of_many_bodies_is_half_as_fast_at_least() -> None:
     """Right-hand sides per second of 512 k and St in one block, against a block of one k."""
     n, flow = 512, PolynomialFlow(None, Shear().gradient_tensor)
     stokes = np.geomspace(0.1, 10.0, n)
-    models = [exact_model(k) for k in np.geomspace(0.02, 50.0, n)]
+    models = [exact_model(Spheroid(k)) for k in np.geomspace(0.02, 50.0, n)]
     functions = []
-    for given in (exact_model(0.5), models):
+    for given in (exact_model(Spheroid(0.5)), models):
         equations = RigidBodyEquations(given, flow, stokes, n, evaluation="compiled")
         y = np.ascontiguousarray(random_state(equations).T)
         y.flags.writeable = False

@@ -12,13 +12,13 @@ import pytest
 from conftest import ROOT, Run
 
 import qbxstokes as qs
-from qbxstokes.bie.exact import true_error
 from qbxstokes.case.load import load_case
 from qbxstokes.cli.pictures import drawings, picture_command
 from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.plots import style
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import plan_body
+from qbxstokes.simulation.exact import true_error
 
 WriteCase = Callable[..., Path]
 

@@ -7,13 +7,13 @@ import pytest
 from conftest import random_flow
 from scenes import phase_period
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import diagnostics
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.reference import chwang, faxen, jeffery, lamb
+from qbxstokes.simulation.exact import exact_model
 
 Array = np.ndarray
 RNG = np.random.default_rng(2)
@@ -63,7 +63,7 @@ class ForceProvider(FaxenProvider):
         self, t: float, x: Array, q: Array, v: Array, omega: Array
     ) -> tuple[Array, Array]:
         free, spin = self.free_motion(t, x, q)
-        model = exact_model(self.k)
+        model = exact_model(Spheroid(self.k))
         probe = RigidBodyEquations(model, PolynomialFlow(), 1.0, len(x))
         # The drag of a body that moves with (v - free) through fluid at rest.
         y = probe.initial_state(x, q, v - free, omega - spin)
@@ -74,7 +74,7 @@ class ForceProvider(FaxenProvider):
 @pytest.mark.parametrize("k", [0.3, 1.0, 4.0])
 def test_free_motion_is_the_faxen_law(degree: int, k: float) -> None:
     flow = random_flow(degree, RNG).shifted((1.0, -2.0, 0.5))
-    equations = RigidBodyEquations(exact_model(k), flow, 0.0, 6)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), flow, 0.0, 6)
     y = random_state(equations)
     v, omega = equations.velocities(0.0, y)
     expected = FaxenProvider(k, flow).free_motion(0.0, y[:, :3], y[:, 3:])
@@ -84,7 +84,7 @@ def test_free_motion_is_the_faxen_law(degree: int, k: float) -> None:
 
 def test_free_rotation_is_jefferys() -> None:
     k, gradient = 0.2, np.array([[0.3, 1.0, -0.4], [0.2, -0.5, 0.7], [0.1, 0.6, 0.2]])
-    equations = RigidBodyEquations(exact_model(k), PolynomialFlow(None, gradient), 0.0)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), PolynomialFlow(None, gradient), 0.0)
     y = random_state(equations)
     turn = rotation.matrix(y[0, 3:])
     expected = jeffery.free_angular_velocity(k, turn.T @ gradient @ turn)
@@ -95,7 +95,7 @@ def test_free_rotation_is_jefferys() -> None:
 @pytest.mark.parametrize("loads", [None, LOADS])
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: float) -> None:
-    model, flow = exact_model(0.4), random_flow(degree, RNG)
+    model, flow = exact_model(Spheroid(0.4)), random_flow(degree, RNG)
     block = RigidBodyEquations(model, flow, stokes_number, 3, loads)
     single = RigidBodyEquations(model, flow, stokes_number, 1, loads)
     y = random_state(block)
@@ -108,7 +108,7 @@ def test_block_is_its_bodies(degree: int, loads: Loads | None, stokes_number: fl
 @pytest.mark.parametrize(("stokes_number", "degree"), [(0.0, 1), (2.0, 2)])
 def test_compiled_is_plain(stokes_number: float, degree: int) -> None:
     n = 70  # more than a tile
-    model, flow = exact_model(0.4), random_flow(degree, RNG).shifted((1.0, -2.0, 0.5))
+    model, flow = exact_model(Spheroid(0.4)), random_flow(degree, RNG).shifted((1.0, -2.0, 0.5))
     equations = RigidBodyEquations(model, flow, stokes_number, n, evaluation="compiled")
     y = random_state(equations)
     columns = np.ascontiguousarray(y.T)
@@ -123,7 +123,7 @@ def test_compiled_is_plain(stokes_number: float, degree: int) -> None:
 @pytest.mark.parametrize("degree", [1, 3])
 def test_jacobian(degree: int, loads: Loads | None, stokes_number: float) -> None:
     equations = RigidBodyEquations(
-        exact_model(2.5), random_flow(degree, RNG), stokes_number, 2, loads
+        exact_model(Spheroid(2.5)), random_flow(degree, RNG), stokes_number, 2, loads
     )
     y = random_state(equations)
     exact, step = jacobian(equations, y), 1e-3
@@ -140,7 +140,7 @@ def test_jacobian(degree: int, loads: Loads | None, stokes_number: float) -> Non
 def test_jacobian_blocks_that_are_known() -> None:
     k, stokes_number = 0.5, 0.1
     gradient = np.array([[0.3, 1.0, -0.4], [0.2, -0.5, 0.7], [0.1, 0.6, 0.2]])
-    model = exact_model(k)
+    model = exact_model(Spheroid(k))
     equations = RigidBodyEquations(model, PolynomialFlow(None, gradient), stokes_number)
     y = equations.initial_state((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     block = jacobian(equations, y)[0]
@@ -162,8 +162,8 @@ def test_jacobian_blocks_that_are_known() -> None:
 @pytest.mark.parametrize("stokes_number", [0.0, 0.7])
 def test_provider_is_the_table(provider: type[FaxenProvider], stokes_number: float) -> None:
     k, flow = 0.4, random_flow(2, RNG)
-    table = RigidBodyEquations(exact_model(k), flow, stokes_number, 3, LOADS)
-    other = RigidBodyEquations(exact_model(k), provider(k, flow), stokes_number, 3, LOADS)
+    table = RigidBodyEquations(exact_model(Spheroid(k)), flow, stokes_number, 3, LOADS)
+    other = RigidBodyEquations(exact_model(Spheroid(k)), provider(k, flow), stokes_number, 3, LOADS)
     y = random_state(table)
     assert np.allclose(rates(other, y), rates(table, y), rtol=1e-11, atol=1e-11)
     scale = abs(jacobian(table, y)).max()
@@ -173,7 +173,7 @@ def test_provider_is_the_table(provider: type[FaxenProvider], stokes_number: flo
 
 
 def test_signs_of_force_and_torque() -> None:
-    wind = RigidBodyEquations(exact_model(1.0), PolynomialFlow([1.0, 0.0, 0.0]), 1.0)
+    wind = RigidBodyEquations(exact_model(Spheroid(1.0)), PolynomialFlow([1.0, 0.0, 0.0]), 1.0)
     at_rest = wind.initial_state((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0, 0, 0), (0, 0, 2.0))
     force, torque = wind.force_torque(0.0, at_rest)
     assert np.allclose(force, [[6.0 * np.pi, 0.0, 0.0]], rtol=1e-12)
@@ -184,13 +184,13 @@ def test_settling_spheroid() -> None:
     k, force = 0.3, np.array([0.0, 0.0, -2.0])
     q = rotation.from_axis([1.0, 0.0, 1.0])
     still = PolynomialFlow()
-    sinking = RigidBodyEquations(exact_model(k), still, 0.0, loads=Loads(force=force))
+    sinking = RigidBodyEquations(exact_model(Spheroid(k)), still, 0.0, loads=Loads(force=force))
     y = sinking.initial_state((0.0, 0.0, 0.0), q)
     v, omega = sinking.velocities(0.0, y)
     assert np.allclose(lamb.drag(k, rotation.to_body(q, v[0])), rotation.to_body(q, -force))
     assert np.allclose(omega, 0.0)
     assert np.allclose(sinking.force_torque(0.0, y)[0], -force)
-    inertial = RigidBodyEquations(exact_model(k), still, 3.0, loads=Loads(force=force))
+    inertial = RigidBodyEquations(exact_model(Spheroid(k)), still, 3.0, loads=Loads(force=force))
     y = inertial.initial_state((0.0, 0.0, 0.0), q)
     assert np.allclose(y[:, 7:10], v)
     assert np.allclose(rates(inertial, y)[:, 7:], 0.0, atol=1e-14)
@@ -199,7 +199,7 @@ def test_settling_spheroid() -> None:
 def test_torque_fixed_in_the_body() -> None:
     k, q = 3.0, rotation.random_quaternions(1, RNG)[0]
     loads = Loads(body_torque=lambda t: (0.0, 0.0, 5.0 * t))
-    equations = RigidBodyEquations(exact_model(k), PolynomialFlow(), 0.0, loads=loads)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), PolynomialFlow(), 0.0, loads=loads)
     y = equations.initial_state((0.0, 0.0, 0.0), q)
     omega = equations.velocities(2.0, y)[1][0]
     assert np.allclose(omega, 10.0 / jeffery.rotation_resistance(k)[1] * rotation.axis(q))
@@ -212,7 +212,7 @@ def test_held_in_a_paraboloid(stokes_number: float) -> None:
     hessian[0, 1, 1] = hessian[0, 2, 2] = 2.0 * curvature
     held = Constraints.held()
     equations = RigidBodyEquations(
-        exact_model(k), PolynomialFlow(hessian=hessian), stokes_number, constraints=held
+        exact_model(Spheroid(k)), PolynomialFlow(hessian=hessian), stokes_number, constraints=held
     )
     axis = (np.cos(alpha), -np.sin(alpha), 0.0)
     q = rotation.from_euler(np.arctan2(axis[0], -axis[1]), np.pi / 2, 0.0)
@@ -227,7 +227,7 @@ def test_held_in_a_paraboloid(stokes_number: float) -> None:
 
 @pytest.mark.parametrize("stokes_number", [0.0, 2.0])
 def test_one_motion_prescribed_leaves_the_other_free(stokes_number: float) -> None:
-    model, flow = exact_model(0.4), random_flow(2, RNG)
+    model, flow = exact_model(Spheroid(0.4)), random_flow(2, RNG)
     free = RigidBodyEquations(model, flow, stokes_number)
     y = random_state(free)
     towed = RigidBodyEquations(
@@ -247,7 +247,7 @@ def test_one_motion_prescribed_leaves_the_other_free(stokes_number: float) -> No
 
 
 def test_length_of_the_quaternion_does_not_matter() -> None:
-    equations = RigidBodyEquations(exact_model(0.4), random_flow(3, RNG), 1.0, 4, LOADS)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.4)), random_flow(3, RNG), 1.0, 4, LOADS)
     y = random_state(equations)
     longer = y.copy()
     longer[:, 3:7] *= 1.7
@@ -258,11 +258,11 @@ def test_length_of_the_quaternion_does_not_matter() -> None:
 
 def test_stokes_numbers_do_not_mix() -> None:
     with pytest.raises(ValueError, match="all zero or all positive"):
-        RigidBodyEquations(exact_model(0.5), PolynomialFlow(), [0.0, 1.0], 2)
+        RigidBodyEquations(exact_model(Spheroid(0.5)), PolynomialFlow(), [0.0, 1.0], 2)
 
 
 def test_relaxation_rates() -> None:
-    equations = RigidBodyEquations(exact_model(1.0), PolynomialFlow(), [0.1, 1.0], 2)
+    equations = RigidBodyEquations(exact_model(Spheroid(1.0)), PolynomialFlow(), [0.1, 1.0], 2)
     # A sphere: 6 pi/(4 pi/3) = 9/2 and 8 pi/(8 pi/15) = 15 over St.
     assert np.allclose(equations.relaxation_rates[:, 1], [4.5, 4.5, 15.0, 15.0])
     assert np.allclose(equations.stiffness, [150.0, 15.0])

@@ -518,7 +518,7 @@ def test_animation_is_a_gif_with_its_frames(result: Result, tmp_path: Path) -> N
     assert not [name for name in tmp_path.iterdir() if name.suffix != ".gif"]
 
 
-def test_animation_needs_an_orientation_and_an_aspect_ratio(
+def test_animation_needs_an_orientation_and_a_shape(
     tmp_path: Path, times: Array, result: Result
 ) -> None:
     block = {name: orbit(times)[name] for name in ("time", "axis")}
@@ -526,7 +526,7 @@ def test_animation_needs_an_orientation_and_an_aspect_ratio(
         animate(load(write(tmp_path / "a.h5", block)))
     nameless = load(result.path)
     nameless.provenance = {}
-    with pytest.raises(ResultFileError, match="aspect ratio"):
+    with pytest.raises(ResultFileError, match="shape of the body"):
         animate(nameless)
 
 

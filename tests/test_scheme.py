@@ -104,7 +104,7 @@ def test_mirror_symmetry_gives_the_rows_left_out():
     for scheme in (GradedScheme(7), UniformScheme(7, 6, 6, 0.1, 6)):
         spheroid = Spheroid(0.6)
         every, _ = layer_rows(spheroid, scheme, 3, range(7))
-        half, _ = layer_rows(spheroid, scheme, 3, independent_rows(7))
+        half, _ = layer_rows(spheroid, scheme, 3, independent_rows(spheroid, 7))
         blocks = blocks_from_rows(half).reshape(3, 3, 7, 3, 7)
         assert len(half) == 4
         assert np.max(np.abs(blocks - np.moveaxis(every, 0, 2))) < 1e-12 * np.max(np.abs(every))

@@ -144,6 +144,10 @@ def test_what_makes_no_scene_is_told_in_a_line(keys: dict[str, Any], told: str) 
     ("keys", "told"),
     [
         ({}, "exactly one of aspect_ratio"),
+        ({"shape": {"type": "sheroid"}}, r"shape.type is 'sheroid'; did you mean spheroid"),
+        ({"shape": {"type": "spheroid"}}, "shape.aspect_ratio is missing; a number"),
+        ({"shape": {"type": "spheroid", "aspect_ratio": -1}}, "shape.aspect_ratio is -1"),
+        ({"shape": 0.5}, "shape is 0.5; a shape, or"),
         ({"aspect_ratio": 1, "length_over_diameter": 1}, "exactly one of"),
         ({"length_over_diameter": 0}, "more than 0"),
         ({"aspect_ratio": 0.5, "stokes_number": -1}, "stokes_number is -1"),
@@ -158,8 +162,8 @@ def test_what_makes_no_body_is_told_in_a_line(keys: dict[str, Any], told: str) -
 
 
 def test_a_body_by_length_over_diameter_or_shape() -> None:
-    assert qs.Body(length_over_diameter=5.0).aspect_ratio == 0.2
-    assert qs.Body(shape=qs.Spheroid(3.0)).aspect_ratio == 3.0
+    assert qs.Body(length_over_diameter=5.0).shape.aspect_ratio == 0.2
+    assert qs.Body(shape=qs.Spheroid(3.0)).shape.aspect_ratio == 3.0
 
 
 def test_what_no_file_holds_is_named() -> None:

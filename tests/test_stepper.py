@@ -13,7 +13,6 @@ import pytest
 from petsc4py import PETSc
 from scenes import phase_period
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.flows import build_flow
@@ -29,6 +28,7 @@ from qbxstokes.petsc.native import native_rate
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, inertial, jeffery
+from qbxstokes.simulation.exact import exact_model
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -59,7 +59,7 @@ def options() -> Iterator[PETSc.Options]:
 @pytest.mark.parametrize("method", ["5dp", "8vr"])
 @pytest.mark.parametrize("k", [0.1, 0.5, 10.0])
 def test_tolerance_is_the_error_of_ten_periods(k: float, method: str) -> None:
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     end = 10.0 * jeffery.period(k)
     for tolerance in (1e-4, 1e-7) if method == "5dp" else (1e-5, 1e-8, 1e-11):
         found = integrate(equations, start_of(equations), [end], tolerance, method=method)
@@ -70,7 +70,7 @@ def test_tolerance_is_the_error_of_ten_periods(k: float, method: str) -> None:
 @pytest.mark.parametrize("method", ["bdf", "arkimex", "rosw"])
 def test_tolerance_is_the_error_of_implicit_methods(method: str) -> None:
     k = 0.5
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     end = 2.0 * jeffery.period(k)
     for tolerance in (1e-4, 1e-6):
         found = integrate(equations, start_of(equations), [end], tolerance, method=method)
@@ -81,7 +81,7 @@ def test_tolerance_is_the_error_of_implicit_methods(method: str) -> None:
 
 @pytest.mark.parametrize(("k", "method"), [(0.1, "8vr"), (0.5, "bdf")])
 def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     end = (10.0 if method == "8vr" else 3.0) * jeffery.period(k)
     times = end * np.array([0.93, 0.95, 0.97, 1.0])
     found = integrate(equations, start_of(equations), times, 1e-15, method=method)
@@ -90,7 +90,7 @@ def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
 
 
 def test_light_bodies_take_explicit_steps_where_implicit_ones_round_too_much() -> None:
-    equations = RigidBodyEquations(exact_model(0.5), SHEAR, 1e-2)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR, 1e-2)
     coarse, fine = (
         integrate(equations, start_of(equations), [20.0], tolerance, t0=10.0).checkpoint.method
         for tolerance in (1e-6, 1e-13)
@@ -101,7 +101,7 @@ def test_light_bodies_take_explicit_steps_where_implicit_ones_round_too_much() -
 def test_orbit_and_period_over_ten_periods() -> None:
     k = 0.5
     period = jeffery.period(k)
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     times = np.linspace(0.0, 10.0 * period, 201)
     found = integrate(equations, start_of(equations), times, 1e-10)
     axes = rotation.axis(found.states[:, 0, 3:7])
@@ -116,7 +116,7 @@ def test_orbit_and_period_over_ten_periods() -> None:
 @pytest.mark.parametrize("method", ["5dp", "8vr", "bdf"])
 def test_samples_are_as_good_as_steps(method: str) -> None:
     k, tolerance = 0.5, 1e-7
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     times = np.sort(np.random.default_rng(0).uniform(0.0, jeffery.period(k), 100))
     found = integrate(equations, start_of(equations), times, tolerance, method=method)
     error = np.abs(rotation.axis(found.states[:, 0, 3:7]) - jeffery.axis_at(times, k, AXIS))
@@ -125,7 +125,7 @@ def test_samples_are_as_good_as_steps(method: str) -> None:
 
 @pytest.mark.parametrize(("k", "tolerance"), [(0.5, 1e-6), (0.5, 1e-12), (0.1, 1e-10), (20, 1e-9)])
 def test_many_states_of_a_step_are_as_good_as_few(k: float, tolerance: float) -> None:
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     end = 0.7 * jeffery.period(k)
     few = integrate(equations, start_of(equations), [end], tolerance, method="8vr")
     times = np.linspace(0.0, end, 40 * few.checkpoint.steps)
@@ -136,7 +136,7 @@ def test_many_states_of_a_step_are_as_good_as_few(k: float, tolerance: float) ->
 
 
 def test_samples_do_not_change_the_motion() -> None:
-    equations = RigidBodyEquations(exact_model(0.5), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR)
     few = integrate(equations, start_of(equations), [20.0])
     many = integrate(equations, start_of(equations), np.linspace(0.0, 20.0, 400))
     assert np.array_equal(few.states[-1], many.states[-1])
@@ -144,7 +144,7 @@ def test_samples_do_not_change_the_motion() -> None:
 
 def test_inertial_body_in_shear() -> None:
     k, stokes_number = 0.5, 10.0
-    equations = RigidBodyEquations(exact_model(k), SHEAR, stokes_number)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR, stokes_number)
     start = start_of(equations)
     times = np.linspace(0.0, 2.0 * jeffery.period(k), 9)
     found = integrate(equations, start, times, 1e-10)
@@ -169,7 +169,7 @@ def test_the_rate_that_petsc_calls_itself_has_the_same_bits(
     n = 3
     flow = paraboloid(0.1)
     equations = RigidBodyEquations(
-        exact_model(0.5), flow, stokes_number, n, loads, None, "compiled", inertia
+        exact_model(Spheroid(0.5)), flow, stokes_number, n, loads, None, "compiled", inertia
     )
     block = equations.block_constants()
     assert block is not None
@@ -195,7 +195,7 @@ def test_the_rate_that_petsc_calls_itself_has_the_same_bits(
 @pytest.mark.parametrize("stokes_number", [0.0, 1e-3, 10.0])
 def test_inertial_body_in_a_paraboloid(stokes_number: float) -> None:
     k, curvature, phi = 0.5, 0.25, 0.3
-    equations = RigidBodyEquations(exact_model(k), paraboloid(curvature), stokes_number)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), paraboloid(curvature), stokes_number)
     q = rotation.from_euler(phi, np.pi / 2, 0.0)
     times = np.linspace(0.0, 10.0, 5)
     if stokes_number == 1e-3:  # too stiff for the reference's explicit method at length
@@ -210,13 +210,13 @@ def test_inertial_body_in_a_paraboloid(stokes_number: float) -> None:
 
 def test_small_inertia_is_first_order() -> None:
     k, end = 0.5, 6.0
-    massless = RigidBodyEquations(exact_model(k), paraboloid(0.25))
+    massless = RigidBodyEquations(exact_model(Spheroid(k)), paraboloid(0.25))
     q = rotation.from_axis(AXIS)
     times = [end]
     limit = integrate(massless, massless.initial_state((0.0, 2.0, 0.0), q), times, 1e-9)
     differences = []
     for stokes_number in (1e-3, 1e-4, 1e-6):
-        equations = RigidBodyEquations(exact_model(k), paraboloid(0.25), stokes_number)
+        equations = RigidBodyEquations(exact_model(Spheroid(k)), paraboloid(0.25), stokes_number)
         start = equations.initial_state((0.0, 2.0, 0.0), q)
         found = integrate(equations, start, times, 1e-9)
         assert found.checkpoint.method == "bdf"
@@ -230,7 +230,9 @@ def test_small_inertia_is_first_order() -> None:
 def test_release_from_rest(stokes_number: float) -> None:
     """A sphere in uniform flow: V = 1 - exp(-9 t/(2 St)), all through its relaxation."""
     rate = 4.5 / stokes_number
-    equations = RigidBodyEquations(exact_model(1.0), PolynomialFlow([1, 0, 0]), stokes_number)
+    equations = RigidBodyEquations(
+        exact_model(Spheroid(1.0)), PolynomialFlow([1, 0, 0]), stokes_number
+    )
     start = equations.initial_state((0, 0, 0), (1, 0, 0, 0), (0, 0, 0), (0, 0, 0))
     times = np.concatenate([np.linspace(0.0, 5.0, 11) / rate, [max(10.0, 20.0 / rate)]])
     found = integrate(equations, start, times, 1e-9)
@@ -255,7 +257,7 @@ def test_free_top_keeps_energy_and_angular_momentum() -> None:
     k = 0.3
     linear, quadratic, cubic = faxen.body_coefficients(k)
     vacuum = BodyModel(
-        k,
+        Spheroid(k),
         Resistance(1e-300, 1e-300, 1e-300, 1e-300),
         FaxenCoefficients(linear, quadratic, cubic),
         None,
@@ -276,7 +278,7 @@ def test_free_top_keeps_energy_and_angular_momentum() -> None:
 @pytest.mark.parametrize("k", [0.01, 1.0, 100.0])
 @pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 1, 0)])
 def test_no_orientation_is_singular(k: float, axis: tuple[int, int, int]) -> None:
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     times = np.linspace(0.0, 30.0, 4)
     found = integrate(equations, start_of(equations, np.array(axis, dtype=float)), times, 1e-9)
     expected = jeffery.axis_at(times, k, np.array(axis, dtype=float))
@@ -285,7 +287,7 @@ def test_no_orientation_is_singular(k: float, axis: tuple[int, int, int]) -> Non
 
 @pytest.mark.parametrize("stokes_number", [0.0, 1.0, 1e-4])
 def test_block_is_its_bodies(stokes_number: float) -> None:
-    model, axes = exact_model(0.5), rotation.random_axes(3, np.random.default_rng(3))
+    model, axes = exact_model(Spheroid(0.5)), rotation.random_axes(3, np.random.default_rng(3))
     block = RigidBodyEquations(model, paraboloid(0.25), stokes_number, 3)
     single = RigidBodyEquations(model, paraboloid(0.25), stokes_number)
     times = [1.0, 4.0 if stokes_number != 1e-4 else 1.5]
@@ -302,7 +304,7 @@ def test_resuming_gives_the_same_numbers(
     stokes_number: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stepper, "BDF_STEPS", 200)
-    equations = RigidBodyEquations(exact_model(0.4), SHEAR, stokes_number)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.4)), SHEAR, stokes_number)
     start, times = start_of(equations), np.linspace(0.0, 12.0 if stokes_number != 1e-3 else 0.5, 61)
     chunks: list[Chunk] = []
     whole = integrate(
@@ -333,7 +335,7 @@ def test_resuming_gives_the_same_numbers(
 
 
 def test_interruption_stops_at_the_last_cut() -> None:
-    equations = RigidBodyEquations(exact_model(0.4), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.4)), SHEAR)
     start, times = start_of(equations), np.linspace(0.0, 40.0, 101)
     whole = integrate(equations, start, times, 1e-8, chunk_samples=10)
     asked = iter([False] * 60 + [True])
@@ -348,7 +350,7 @@ def test_interruption_stops_at_the_last_cut() -> None:
 
 def test_long_run_keeps_orbit_and_norm() -> None:
     k, periods = 0.5, 50
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     constants, longest = [], 0
 
     def store(chunk: Chunk) -> None:
@@ -371,7 +373,7 @@ def test_time_dependent_torque() -> None:
     """A disc turned about its axis by a torque cos t: the angle is sin t/R."""
     k = 3.0
     loads = Loads(body_torque=lambda t: (0.0, 0.0, 50.0 * math.cos(t)))
-    equations = RigidBodyEquations(exact_model(k), PolynomialFlow(), 0.0, loads=loads)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), PolynomialFlow(), 0.0, loads=loads)
     times = np.linspace(0.0, 9.0, 10)
     start = equations.initial_state((0, 0, 0), (1.0, 0.0, 0.0, 0.0))
     found = integrate(equations, start, times, 1e-9, longest_step=0.5)
@@ -381,7 +383,7 @@ def test_time_dependent_torque() -> None:
 
 
 def test_options_choose_the_method(options: PETSc.Options) -> None:
-    equations = RigidBodyEquations(exact_model(0.5), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR)
     options["stepper_test_ts_type"] = "rk"
     options["stepper_test_ts_rk_type"] = "3bs"
     found = integrate(equations, start_of(equations), [1.0], 1e-4, prefix="stepper_test_")
@@ -392,7 +394,7 @@ def test_options_choose_the_method(options: PETSc.Options) -> None:
 
 
 def test_too_many_steps(options: PETSc.Options) -> None:
-    equations = RigidBodyEquations(exact_model(0.5), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR)
     options["stepper_test_ts_max_steps"] = "5"
     with pytest.raises(ConvergenceError, match=r"t = .*step 5 .*ts_max_steps.*Try"):
         integrate(equations, start_of(equations), [100.0], 1e-8, prefix="stepper_test_")
@@ -415,7 +417,7 @@ class Broken:
 
 
 def test_failures_are_told() -> None:
-    model = exact_model(0.5)
+    model = exact_model(Spheroid(0.5))
     broken = RigidBodyEquations(model, Broken())
     with pytest.raises(ConvergenceError, match="no solution at t"):
         integrate(broken, start_of(broken), [2.0])
@@ -427,7 +429,7 @@ def test_failures_are_told() -> None:
 
 def test_observer_finds_crossings() -> None:
     k = 0.5
-    equations = RigidBodyEquations(exact_model(k), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)
     moments: list[float] = []
 
     def watch(step: Step) -> float | None:
@@ -450,7 +452,7 @@ def test_observer_finds_crossings() -> None:
 
 
 def test_checkpoint_alone_starts_a_run() -> None:
-    equations = RigidBodyEquations(exact_model(0.5), SHEAR)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR)
     start = start_of(equations)
     one = integrate(equations, Checkpoint(0.0, start), [5.0])
     assert np.array_equal(one.states, integrate(equations, start, [5.0]).states)
@@ -475,7 +477,7 @@ def test_compiled_blocks_leave_the_hdf5_of_h5py_alone():
 )
 def test_the_forecast_tells_method_and_steps(k: float, stokes_number: float) -> None:
     """What the dry run of a sweep builds its time on: within a factor of 2."""
-    equations = RigidBodyEquations(exact_model(k), paraboloid(0.05), stokes_number)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), paraboloid(0.05), stokes_number)
     start = equations.initial_state((0.0, 10.0, 0.0), (1.0, 0.2, 0.3, 0.4))
     forecast = Forecast(equations, 0.0, start, 40.0, 1e-8)
     run = integrate(equations, start, [40.0], 1e-8)

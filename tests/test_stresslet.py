@@ -9,7 +9,7 @@ import pytest
 
 import qbxstokes as qs
 from qbxstokes.bie.accuracy import choose_scheme
-from qbxstokes.bie.functional import stokes_polynomials
+from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.stresslet import STRAINS, GridStress, accurate_stresslet, stresslet_of
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -55,7 +55,7 @@ def test_closed_forms_are_continuous_where_their_evaluation_changes(k: float) ->
 
 def test_numbers_free_and_held(body: qs.Body) -> None:
     """S0, S1, S2 and the held S1 to 2e-12 for every shape, and what their estimates promise."""
-    k, found = body.aspect_ratio, body.stress
+    k, found = body.shape.aspect_ratio, body.stress
     error = np.abs(found.numbers / stress.stresslet_numbers(k) - 1.0).max()
     assert error < 2e-12
     assert found.error_estimate > error / 3.0
@@ -72,7 +72,7 @@ def test_numbers_free_and_held(body: qs.Body) -> None:
 @pytest.mark.parametrize("kind", ["linear", "quadratic", "cubic", "stokeslet"])
 def test_every_flow_by_the_mean_strain(body: qs.Body, kind: str) -> None:
     """Free, held, turning and driven, by table and by functional, against Faxen's law."""
-    rng, k = np.random.default_rng(5), body.aspect_ratio
+    rng, k = np.random.default_rng(5), body.shape.aspect_ratio
     x, q = rng.standard_normal(3), rotation.normalize(rng.standard_normal(4))
     turn = rotation.matrix(q[None])[0]
     if kind == "stokeslet":

@@ -14,7 +14,6 @@ from conftest import random_flow, script
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.named import Paraboloid, Shear, Uniform
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
@@ -23,6 +22,7 @@ from qbxstokes.motion import fore_aft, tracing
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.motion.tracing import specialise
+from qbxstokes.simulation.exact import exact_model
 
 RNG = np.random.default_rng(4)
 OPERATORS = (operator.add, operator.sub, operator.mul)
@@ -77,7 +77,7 @@ SCENES: dict[str, tuple[float, PolynomialFlow, Loads | None, str]] = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_scenes_keep_their_numbers(scene: str, stokes_number: float) -> None:
     k, flow, loads, inertia = SCENES[scene]
-    model = exact_model(k)
+    model = exact_model(Spheroid(k))
     equations = RigidBodyEquations(model, flow, stokes_number, 1, loads, inertia=inertia)  # type: ignore[arg-type]
     velocities = RNG.standard_normal((2, 3)) if stokes_number else ()
     q = rotation.random_quaternions(1, RNG)[0]
@@ -108,7 +108,7 @@ def general_rates(
     if inertia != "both":
         follow = float(inertia == "rotation"), float(inertia == "translation")
     rates = equations.relaxation_rates[:, 0].tolist()
-    j1, _, j3 = Spheroid(model.aspect_ratio).inertia.tolist()
+    j1, _, j3 = Spheroid(model.shape.aspect_ratio).inertia.tolist()
     return lambda rows: fore_aft.inertial(rows, *head, rates, (j3 - j1) / j1, follow)
 
 
@@ -133,10 +133,10 @@ def count_operations(source: str) -> int:
 def test_zeros_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A shear costs no more arithmetic than its closed form; a sphere needs no axis."""
     closed = count_operations(inspect.getsource(script("benchmarks/step").closed_form))
-    shear = RigidBodyEquations(exact_model(0.5), Shear())
+    shear = RigidBodyEquations(exact_model(Spheroid(0.5)), Shear())
     assert operations(shear, monkeypatch) <= 1.2 * closed
     slender, sphere = (
-        operations(RigidBodyEquations(exact_model(k), Paraboloid(0.3)), monkeypatch)
+        operations(RigidBodyEquations(exact_model(Spheroid(k)), Paraboloid(0.3)), monkeypatch)
         for k in (0.5, 1.0)
     )
     assert sphere < 0.5 * slender

@@ -16,8 +16,8 @@ from measure import Rows, command
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import accurate_body
-from qbxstokes.bie.functional import stokes_polynomials
-from qbxstokes.bie.resolution import confocal_rate, flow_nodes, resolving_nodes
+from qbxstokes.bie.faxen import stokes_polynomials
+from qbxstokes.bie.resolution import flow_nodes, resolving_nodes
 from qbxstokes.flows import Flow, PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.geometry import rotation
@@ -64,7 +64,7 @@ def examine(k: float, q: Array, flow: Flow, tolerance: float) -> tuple[float, fl
     n_theta, n_phi, left = body.functional.grid.n_theta, 8, 0.0
     if flow.polynomial is None:
         share = SHARE * tolerance
-        start = flow_nodes(float(np.max(confocal_rate(k, flow.singular_points @ turn))), share)
+        start = flow_nodes(float(np.max(Spheroid(k).decay(flow.singular_points @ turn))), share)
         n_theta, n_phi, left = resolving_nodes(body.functional, velocity, share, start)
     grid = body.functional.on_grid(n_phi, n_theta)
     motion = np.einsum("anj,nj->a", grid.weights, velocity(grid.points)).reshape(2, 3)

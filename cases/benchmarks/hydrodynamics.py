@@ -21,11 +21,11 @@ import numpy as np
 from measure import Rows, command, timed
 
 from qbxstokes.bie.accuracy import choose_scheme, plain_body
-from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.petsc import session
 from qbxstokes.qbx.operator import Scheme, UniformScheme
+from qbxstokes.simulation.exact import true_error
 
 # Aspect ratio, n_theta, order, r/h, upsampling.
 UNIFORM = (

@@ -15,12 +15,13 @@ from functools import partial
 import numpy as np
 from measure import Rows, command, timed
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.named import Shear
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.reference import inertial, jeffery
+from qbxstokes.simulation.exact import exact_model
 
 # Aspect ratio and Stokes number.
 ORBITS = {"massless": (0.5, 0.0), "inertial": (0.5, 1.0), "thin": (0.05, 0.0)}
@@ -35,7 +36,7 @@ def orbit(name: str, periods: int, small: bool) -> Rows:
     from qbxstokes.petsc.stepper import integrate
 
     k, stokes_number = ORBITS[name]
-    equations = RigidBodyEquations(exact_model(k), Shear(), stokes_number)
+    equations = RigidBodyEquations(exact_model(Spheroid(k)), Shear(), stokes_number)
     start = equations.initial_state(np.zeros(3), rotation.from_axis(AXIS))
     times = [0.0, periods * jeffery.period(k)]
     exact = jeffery.axis_at(times[1], k, AXIS)

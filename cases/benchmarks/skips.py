@@ -20,7 +20,8 @@ import numpy as np
 from measure import Rows, command, timed
 
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme
-from qbxstokes.bie.functional import BodyModel, faxen_coefficients
+from qbxstokes.bie.faxen import faxen_coefficients
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows.named import Shear
@@ -43,7 +44,7 @@ def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     """Those of the set-up: name, the work without the skip, the work with it."""
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
     both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
-    half = independent_rows(scheme.n_theta)
+    half = independent_rows(spheroid, scheme.n_theta)
 
     def whole(completion: Any) -> Any:
         faxen = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
@@ -111,7 +112,8 @@ def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
     block = RigidBodyEquations(model, moved, stokes_number, BLOCK, evaluation="compiled")
     orientations = rotation.random_quaternions(BLOCK, np.random.default_rng(0))
     start = block.initial_state(np.zeros(3), orientations)
-    return integrate(block, start, [jeffery.period(model.aspect_ratio)], 1e-8).states[-1, :, 3:7]
+    period = jeffery.period(model.effective_ratio)
+    return integrate(block, start, [period], 1e-8).states[-1, :, 3:7]
 
 
 def main(small: bool = False) -> dict[str, Rows]:

@@ -21,7 +21,6 @@ import numpy as np
 from measure import Rows, command, seconds_each, turns
 
 from qbxstokes.bie.accuracy import accurate_body
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows.named import Shear
@@ -29,6 +28,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
+from qbxstokes.simulation.exact import exact_model
 
 K = 0.5
 SHAPE = (1.0 - K * K) / (1.0 + K * K)
@@ -137,7 +137,7 @@ def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
     """Wall time of an integration per right-hand side."""
     from qbxstokes.petsc.stepper import integrate
 
-    model = exact_model(K)
+    model = exact_model(Spheroid(K))
     closed = Given(model, Shear(), stokes_number, evaluation="plain")
     ways: dict[str, RigidBodyEquations] = {"closed form": closed}
     for way in ("plain", "compiled"):

@@ -80,7 +80,7 @@ def averages(
     if it is not that of the slowest relaxation. half_turn: that of the slowest body, if it is not
     the one of tumbling.
     """
-    k, stokes = moving.aspect_ratio, moving.stokes_number
+    k, stokes = moving.shape.aspect_ratio, moving.stokes_number
     rate = float(np.linalg.norm(flow.gradient(position)))
     if half_turn is None:  # of the lightest; all turn as Jeffery says without inertia of rotation
         half_turn = 0.5 * jeffery.period(k, rate)

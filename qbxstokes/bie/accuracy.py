@@ -4,7 +4,7 @@ Three facts make the choice short (all measured in tests/test_accuracy.py, none 
 Inside a spheroid the double layer of a polynomial density is a polynomial of the same degree, so
 that inner expansions of order n_theta + 2 truncate nothing. The quadrature error falls by a fixed
 number of digits per panel node, the same for every aspect ratio. And the error of the functional in
-a flow that is singular outside the body falls by the rate `resolution.confocal_rate` per node.
+a flow that is singular outside the body falls by the rate `Shape.decay` per node.
 
 The estimate compares resolutions: each part is the change of the result when the one parameter
 behind it is refined, rounding the change under perturbations of its size, resolution the last
@@ -33,8 +33,9 @@ from qbxstokes.bie.operators import (
 )
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import POLYNOMIAL_NODES
-from qbxstokes.errors import ConvergenceError
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.errors import CaseError, ConvergenceError
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -70,7 +71,7 @@ class RowFormer(Protocol):
 
     def __call__(
         self,
-        spheroid: Spheroid,
+        shape: Revolution,
         scheme: Scheme,
         n_modes: int,
         rows: Sequence[int],
@@ -124,12 +125,13 @@ class AccurateBody:
         scheme: Scheme = {"GradedScheme": GradedScheme, "UniformScheme": UniformScheme}[kind](
             *values
         )
-        grid = scheme.grid(Spheroid(model.aspect_ratio), 3)
+        assert isinstance(model.shape, Revolution)
+        grid = scheme.grid(model.shape, 3)
         return cls(model, ModalFunctional(grid, parts["weight"]), scheme)
 
 
 def accurate_body(
-    spheroid: Spheroid,
+    shape: Revolution,
     tolerance: float,
     scheme: Scheme | None = None,
     *,
@@ -148,9 +150,11 @@ def accurate_body(
     strict: raise ConvergenceError if rounding keeps the estimate above the tolerance (bodies
     thinner than about 1/50); otherwise the best that can be had is returned with its estimate.
     """
+    if not shape.fore_aft:
+        raise CaseError(f"the law of a body without fore-aft symmetry is not known: {shape}")
     trial = scheme or choose_scheme(tolerance, side=side)
     for _ in range(4):
-        body = _form(spheroid, trial, completion, solver, form_rows)
+        body = _form(shape, trial, completion, solver, form_rows)
         parts = estimate_error(body, completion, form_rows, degree)
         refined = None if isinstance(trial, UniformScheme) else refined_scheme(trial, parts)
         if scheme is not None or parts.total <= tolerance or refined is None:
@@ -159,7 +163,7 @@ def accurate_body(
     if strict and scheme is None and parts.total > tolerance:
         raise ConvergenceError(
             f"the estimated error {parts.total:.1e} of the hydrodynamics exceeds the tolerance "
-            f"{tolerance:.1e} for aspect_ratio {spheroid.aspect_ratio:g} (quadrature "
+            f"{tolerance:.1e} for the {shape} (quadrature "
             f"{parts.quadrature:.0e}, truncation {parts.truncation:.0e}, resolution "
             f"{parts.resolution:.0e}, solver {parts.solver:.0e}, rounding {parts.rounding:.0e}); "
             f"set hydrodynamics.tolerance to {2.0 * parts.total:.0e} or more"
@@ -171,14 +175,14 @@ def accurate_body(
 
 
 def plain_body(
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     completion: Completion | None = "surface",
     solver: SolverFactory = DirectSolver,
     form_rows: RowFormer = layer_rows,
 ) -> AccurateBody:
     """The body model of a given scheme; its estimate is the misfit of the polynomial law alone."""
-    body = _form(spheroid, scheme, completion, solver, form_rows)
+    body = _form(shape, scheme, completion, solver, form_rows)
     return AccurateBody(body.model, body.functional, scheme)
 
 
@@ -203,15 +207,15 @@ class _Body(AccurateBody):
 
 
 def _form(
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     completion: Completion | None,
     solver: SolverFactory,
     form_rows: RowFormer,
 ) -> _Body:
     spread = completion == "surface"
-    rows = form_rows(spheroid, scheme, 2, independent_rows(scheme.n_theta), spread)
-    operators = surface_operators(spheroid, scheme, 3, completion, rows)
+    rows = form_rows(shape, scheme, 2, independent_rows(shape, scheme.n_theta), spread)
+    operators = surface_operators(shape, scheme, 3, completion, rows)
     functional = modal_functional(operators, solver)
     direct = functional if solver is DirectSolver else modal_functional(operators)
     return _Body(body_model(operators, functional), functional, scheme, rows, direct)
@@ -227,19 +231,19 @@ def estimate_error(
 
     No closed form enters. A part is zero where it does not exist.
     """
-    scheme, spheroid = body.scheme, body.functional.grid.spheroid
+    scheme, shape = body.scheme, body.functional.grid.shape
     if not isinstance(body, _Body):
-        body = _form(spheroid, scheme, completion, DirectSolver, form_rows)
+        body = _form(shape, scheme, completion, DirectSolver, form_rows)
     solver = 0.0
     if body.direct is not body.functional:
-        operators = surface_operators(spheroid, scheme, 3, completion, body.rows)
+        operators = surface_operators(shape, scheme, 3, completion, body.rows)
         solver = model_distance(body.model, body_model(operators, body.direct), degree)
     rounding = _rounding(body, completion, degree)
     if isinstance(scheme, UniformScheme):
         changes = {
             name: model_distance(
                 body.model,
-                _form(spheroid, other, completion, DirectSolver, form_rows).model,
+                _form(shape, other, completion, DirectSolver, form_rows).model,
                 degree,
             )
             for name, other in coarser_schemes(scheme).items()
@@ -247,8 +251,8 @@ def estimate_error(
         return ErrorParts(**changes, solver=solver, rounding=rounding)
     finer = replace(scheme, panel_order=scheme.panel_order + 2)
     higher = replace(finer, expansion_order=scheme.expansion_order + 2)
-    by_panels = _form(spheroid, finer, completion, DirectSolver, form_rows)
-    by_order = _form(spheroid, higher, completion, DirectSolver, form_rows)
+    by_panels = _form(shape, finer, completion, DirectSolver, form_rows)
+    by_order = _form(shape, higher, completion, DirectSolver, form_rows)
     # A difference no larger than the rounding errors of its terms shows these, counted already.
     # The finer one errs as well, by less.
     quadrature = 1.5 * model_distance(body.model, by_panels.model, degree) - rounding
@@ -260,7 +264,7 @@ def estimate_error(
         denser = replace(
             higher, n_theta=scheme.n_theta + 4, expansion_order=higher.expansion_order + 4
         )
-        other = _form(spheroid, denser, completion, DirectSolver, form_rows).model
+        other = _form(shape, denser, completion, DirectSolver, form_rows).model
         resolution = max(resolution, 1.5 * model_distance(by_order.model, other, degree))
     return ErrorParts(
         quadrature=max(quadrature, 0.0),
@@ -326,7 +330,7 @@ def _rounding(body: _Body, completion: Completion | None, degree: int) -> float:
     grid, spread = body.functional.grid, []
     for double in perturbed_rows(grid, body.scheme, body.rows[0]):
         rows = double, body.rows[1]
-        operators = surface_operators(grid.spheroid, body.scheme, 3, completion, rows)
+        operators = surface_operators(grid.shape, body.scheme, 3, completion, rows)
         perturbed = form_body_model(operators)
         spread.append(model_distance(body.model, perturbed, degree))
     return float(np.max(spread)) + ROUNDING_FLOOR
@@ -339,5 +343,5 @@ def perturbed_rows(grid: SurfaceGrid, scheme: Scheme, rows: Array) -> Iterator[A
     for _ in range(_PERTURBATIONS):
         double = rows + size * rng.standard_normal(rows.shape)
         if isinstance(scheme, GradedScheme) and scheme.keep_rigid:
-            impose_rigid_motions(grid, independent_rows(scheme.n_theta), double)
+            impose_rigid_motions(grid, independent_rows(grid.shape, scheme.n_theta), double)
         yield double

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.scatterer import Scatterer, Table, scatterer
 from qbxstokes.errors import ContactError
 from qbxstokes.geometry import gaps
+from qbxstokes.geometry.shape import Revolution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -65,12 +66,21 @@ class Plane:
 
 @dataclass(frozen=True)
 class Placed:
-    """A spheroid in the scene: k, polar radius, centre (3,) and rotation (3, 3) body to space."""
+    """A body in the scene: its unit of length, centre (3,) and rotation (3, 3) body to space.
 
-    aspect_ratio: float
+    shape: an ellipsoid of revolution, between which gaps are known.
+    """
+
+    shape: Revolution
     size: float
     position: Array
     rotation: Array
+
+    @property
+    def ratio(self) -> float:
+        """k of its semi-axes (k, k, 1)."""
+        assert self.shape.semi_axes is not None
+        return self.shape.semi_axes[0]
 
     @property
     def axis(self) -> Array:
@@ -90,7 +100,7 @@ def closest(bodies: Sequence[Placed], wall: Plane | None) -> tuple[float, tuple[
         found = [(_pair(body, bodies[c]), c) for c in range(b)]
         if wall is not None:
             height = float(wall.height(body.position))
-            k, size = body.aspect_ratio, body.size
+            k, size = body.ratio, body.size
             found.append((gaps.wall_gap(height, wall.normal, body.axis, k, size), -1))
         for gap, c in found:
             if gap.gap < least:
@@ -105,7 +115,7 @@ def _pair(body: Placed, other: Placed) -> gaps.Gap:
     return gaps.pair_gap(
         other.position - body.position,
         (body.axis, other.axis),
-        (body.aspect_ratio, other.aspect_ratio),
+        (body.ratio, other.ratio),
         (body.size, other.size),
     )
 
@@ -143,9 +153,7 @@ class Coupled:
     @cached_property
     def maps(self) -> list[Scatterer]:
         """The exterior map of each body."""
-        return [
-            scatterer(body.aspect_ratio, n) for body, n in zip(self.bodies, self.nodes, strict=True)
-        ]
+        return [scatterer(body.shape, n) for body, n in zip(self.bodies, self.nodes, strict=True)]
 
     @cached_property
     def points(self) -> list[Array]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
 from qbxstokes.errors import FlowError
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import ExteriorFlow, SurfaceToExterior
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
@@ -115,7 +116,7 @@ class Disturbance:
         n_theta, n_phi = 2 * grid.n_theta + 1, 2 * grid.n_phi + 1
         theta = np.pi * (np.arange(n_theta) + 0.5) / n_theta
         phi = 2.0 * np.pi * (np.arange(n_phi) + 0.25) / n_phi
-        points = grid.spheroid.surface(theta[:, None], phi).reshape(-1, 3)
+        points = grid.shape.surface(theta[:, None], phi).reshape(-1, 3)
         exact = self.rigid(points) - self.background(points)
         return float(np.abs(self.table.evaluate(points, with_stress=False)[0] - exact).max())
 
@@ -150,22 +151,16 @@ class Disturbance:
 
     def _decay(self, points: Array) -> Array:
         """Decay (N,) of the highest degree of the table from the surface to the points, or more."""
-        k = self.grid.spheroid.aspect_ratio
-        squared = np.einsum("ni,ni->n", points, points) - (1.0 - k) * (1.0 + k)
-        rho2 = points[:, 0] ** 2 + points[:, 1] ** 2
-        root = np.sqrt(squared**2 + 4.0 * (1.0 - k) * (1.0 + k) * rho2)
-        alpha2 = np.maximum(0.5 * (squared + root), k * k)
-        ratio = (1.0 + k) / (np.sqrt(alpha2) + np.sqrt(alpha2 + (1.0 - k) * (1.0 + k)))
-        return np.asarray(ratio ** (self.table.harmonics.degree + 1))
+        return np.asarray(self.grid.shape.decay(points) ** (self.table.harmonics.degree + 1))
 
     def check_points(self, count: int = 12, seed: int = 0) -> Array:
         """Random targets (count, 3) on the surface and from 1e-6 to ten body lengths away."""
         rng = np.random.default_rng(seed)
-        spheroid = self.grid.spheroid
+        shape = self.grid.shape
         theta, phi = np.arccos(rng.uniform(-1, 1, count)), rng.uniform(0, 2 * np.pi, count)
-        distance = max(spheroid.aspect_ratio, 1.0) * 10.0 ** np.linspace(-6, 1.3, count)
+        distance = shape.radius * 10.0 ** np.linspace(-6, 1.3, count)
         distance[0] = 0.0
-        return spheroid.surface(theta, phi) + distance[:, None] * spheroid.normal(theta, phi)
+        return shape.surface(theta, phi) + distance[:, None] * shape.normal(theta, phi)
 
     def differences(self, points: Array) -> Array:
         """Difference (N,) of the velocity by table and by QBX at (N, 3), relative to `scale`.
@@ -250,9 +245,9 @@ class FlowAround:
         The traction sigma.n is the force of the fluid on the body per area. The velocity is the
         rigid one, exactly.
         """
-        spheroid = self.disturbance.grid.spheroid
-        body = spheroid.surface(theta[:, None], phi)
-        normals = spheroid.normal(theta[:, None], phi) @ self.rotation.T
+        shape = self.disturbance.grid.shape
+        body = shape.surface(theta[:, None], phi)
+        normals = shape.normal(theta[:, None], phi) @ self.rotation.T
         points = body @ self.rotation.T + self.position
         # A hair outside, so that rounding does not put the points inside the body.
         values = self.evaluate(points.reshape(-1, 3))
@@ -299,12 +294,12 @@ def turned_stress(stress: Array, rotation: Array) -> Array:
     return np.asarray(stress @ matrix.T)
 
 
-def resolving_grid(spheroid: Spheroid, background: Background, tolerance: float) -> tuple[int, int]:
+def resolving_grid(shape: Revolution, background: Background, tolerance: float) -> tuple[int, int]:
     """Polar and azimuthal nodes whose table holds a background flow to a relative tolerance.
 
     Raises FlowError where MOST_NODES do not suffice.
     """
-    fine = SurfaceGrid(spheroid, MOST_NODES, 2 * MOST_NODES)
+    fine = SurfaceGrid(shape, MOST_NODES, 2 * MOST_NODES)
     modes = to_modes(background(fine.points), fine.n_theta, fine.n_phi)
     size = np.abs(modes).max(axis=1)
     # What all higher modes hold together, from each mode on.
@@ -313,9 +308,9 @@ def resolving_grid(spheroid: Spheroid, background: Background, tolerance: float)
     n_phi = max(2 * int(small[0] if small.size else MOST_NODES), 4)
     n_theta = 8
     while True:
-        grid = SurfaceGrid(spheroid, n_theta, n_phi)
+        grid = SurfaceGrid(shape, n_theta, n_phi)
         table = surface_map(grid, None).flow(background(grid.points))
-        probe = SurfaceGrid(spheroid, 2 * n_theta + 1, 7)
+        probe = SurfaceGrid(shape, 2 * n_theta + 1, 7)
         exact = background(probe.points)
         outside = probe.points * (1.0 + 1e-15)
         error = float(np.abs(table.evaluate(outside, with_stress=False)[0] - exact).max())
@@ -336,9 +331,7 @@ def surface_map(grid: SurfaceGrid, degree: int | None) -> SurfaceToExterior:
 
 def completion_weight(grid: SurfaceGrid, force: Array, torque: Array) -> Array:
     """Coefficients (6,) of the density a + b x y of the spread completion (see `resistance`)."""
-    k2 = grid.spheroid.aspect_ratio**2
-    across, about = 3.0 / (4.0 * np.pi * (1.0 + k2)), 3.0 / (8.0 * np.pi * k2)
-    spin = np.asarray(torque) * [across, across, about]
+    spin = np.asarray(torque) * grid.shape.torque_density
     return np.concatenate([np.asarray(force) / (4.0 * np.pi), spin])
 
 

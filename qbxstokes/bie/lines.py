@@ -1,9 +1,9 @@
 """Lines along the flow relative to a body, which never cross its surface.
 
-Points outside the body are written as x = sqrt(1 + L) (k y_1, k y_2, y_3) with |y| = 1 and L > 0;
-the state is (log L, y). The relative velocity vanishes on the surface with its normal gradient, so
-that log L changes at a bounded rate there, and no step of an integrator, however large, leaves the
-outside.
+Points outside an ellipsoid of semi-axes a are written as x_i = sqrt(1 + L) a_i y_i with |y| = 1 and
+L > 0; the state is (log L, y). The relative velocity vanishes on the surface with its normal
+gradient, so that log L changes at a bounded rate there, and no step of an integrator, however
+large, leaves the outside.
 """
 
 from __future__ import annotations
@@ -14,18 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.field import FlowAround, FlowField, surface_map
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.errors import CaseError
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Shape
 
 Array = NDArray[np.float64]
 Velocity = Callable[[float, Array], Array]
+
+Axes = tuple[float, float, float]
 
 N_STATE = 4
 _FLOOR = float(np.log(1e-5))
 
 
-def to_state(points: Array, aspect_ratio: float) -> Array:
+def outer_axes(shape: Shape) -> Axes:
+    """Semi-axes of the coordinates outside a body. Raises CaseError for one that has none."""
+    if shape.semi_axes is None:
+        raise CaseError(f"lines are followed around ellipsoids alone, not around a {shape}")
+    return shape.semi_axes
+
+
+def to_state(points: Array, axes: Axes) -> Array:
     """State (N, 4) of points (N, 3) of the body frame; NaN for points in or on the body."""
-    scaled = points / [aspect_ratio, aspect_ratio, 1.0]
+    scaled = points / axes
     radius = np.linalg.norm(scaled, axis=-1, keepdims=True)
     level = (radius - 1.0) * (radius + 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -34,25 +45,25 @@ def to_state(points: Array, aspect_ratio: float) -> Array:
     return np.asarray(state)
 
 
-def to_points(state: Array, aspect_ratio: float) -> Array:
+def to_points(state: Array, axes: Axes) -> Array:
     """Points (..., 3) of the body frame of states (..., 4)."""
     unit = state[..., 1:] / np.linalg.norm(state[..., 1:], axis=-1, keepdims=True)
     radius = np.sqrt(1.0 + np.exp(state[..., :1]))
-    return np.asarray(radius * unit * [aspect_ratio, aspect_ratio, 1.0])
+    return np.asarray(radius * unit * axes)
 
 
-def state_rate(state: Array, velocity: Array, aspect_ratio: float) -> Array:
+def state_rate(state: Array, velocity: Array, axes: Axes) -> Array:
     """Rate of change (N, 4) of states (N, 4) carried by velocities (N, 3)."""
     unit = state[:, 1:] / np.linalg.norm(state[:, 1:], axis=-1, keepdims=True)
     level = np.exp(state[:, :1])
     radius = np.sqrt(1.0 + level)
-    scaled = velocity / [aspect_ratio, aspect_ratio, 1.0]
+    scaled = velocity / axes
     along = np.einsum("ni,ni->n", unit, scaled)[:, None]
     return np.concatenate([2.0 * radius * along / level, (scaled - along * unit) / radius], axis=-1)
 
 
 def carried_rate(
-    state: Array, velocity: Callable[[Array], Array], aspect_ratio: float, unit_speed: bool
+    state: Array, velocity: Callable[[Array], Array], axes: Axes, unit_speed: bool
 ) -> Array:
     """Rate (N, 4) of states (N, 4) in a relative velocity, or in its direction (`unit_speed`).
 
@@ -62,18 +73,18 @@ def carried_rate(
     """
     level = state[:, :1]
     raised = np.concatenate([np.maximum(level, _FLOOR), state[:, 1:]], axis=-1)
-    u = velocity(to_points(raised, aspect_ratio))
+    u = velocity(to_points(raised, axes))
     if unit_speed:
         speed = np.linalg.norm(u, axis=-1, keepdims=True)
-        return state_rate(raised, u / np.where(speed > 0.0, speed, 1.0), aspect_ratio)
+        return state_rate(raised, u / np.where(speed > 0.0, speed, 1.0), axes)
     slower = np.exp(np.minimum(level - _FLOOR, 0.0))
-    return np.asarray(state_rate(raised, u, aspect_ratio) * slower)
+    return np.asarray(state_rate(raised, u, axes) * slower)
 
 
 def integrate_lines(
     velocity: Velocity,
     points: Array,
-    aspect_ratio: float,
+    axes: Axes,
     parameter: Array,
     tolerance: float,
     unit_speed: bool,
@@ -86,7 +97,7 @@ def integrate_lines(
     """
     from scipy.integrate import solve_ivp
 
-    start = to_state(np.asarray(points, float), aspect_ratio)
+    start = to_state(np.asarray(points, float), axes)
     good = ~np.isnan(start[:, 0])
     lines = np.full((len(start), len(parameter), 3), np.nan)
     if not good.any():
@@ -94,9 +105,7 @@ def integrate_lines(
 
     def rate(t: float, flat: Array) -> Array:
         state = flat.reshape(-1, N_STATE)
-        return carried_rate(
-            state, lambda x: velocity(t, x), aspect_ratio, unit_speed=unit_speed
-        ).ravel()
+        return carried_rate(state, lambda x: velocity(t, x), axes, unit_speed=unit_speed).ravel()
 
     solution = solve_ivp(
         rate,
@@ -108,7 +117,7 @@ def integrate_lines(
         atol=tolerance,
     )
     states = np.moveaxis(solution.y.reshape(int(good.sum()), N_STATE, -1), 2, 1)
-    lines[good, : states.shape[1]] = to_points(states, aspect_ratio)
+    lines[good, : states.shape[1]] = to_points(states, axes)
     return lines
 
 
@@ -120,13 +129,13 @@ def streamlines(
     points: (N, 3) in space. length: of each line, and upstream as much if both is set; then P is
     2 samples - 1.
     """
-    k = around.disturbance.grid.spheroid.aspect_ratio
+    axes = outer_axes(around.disturbance.grid.shape)
     body = around.to_body(points)
     parameter = np.linspace(0.0, length, samples)
 
     def run(sign: float) -> Array:
         return integrate_lines(
-            lambda _, x: sign * around.relative_velocity(x), body, k, parameter, tolerance, True
+            lambda _, x: sign * around.relative_velocity(x), body, axes, parameter, tolerance, True
         )
 
     lines = run(1.0)

@@ -10,11 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.bie.faxen import faxen_coefficients
 from qbxstokes.bie.functional import (
     BodyModel,
     ModalFunctional,
     adjoint_weights,
-    faxen_coefficients,
     resistance,
 )
 from qbxstokes.bie.mobility import mobility_blocks
@@ -26,7 +26,8 @@ from qbxstokes.bie.resistance import (
     surface_completion,
 )
 from qbxstokes.bie.rigid import RigidMode, rigid_modes
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, to_modes
 from qbxstokes.qbx.operator import Scheme, blocks_from_rows, independent_rows, layer_rows
 
@@ -126,7 +127,7 @@ def _vectors(c: dict[str, complex]) -> tuple[Array, Array]:
 
 
 def surface_operators(
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     n_phi: int = 3,
     completion: Completion | None = "surface",
@@ -138,11 +139,11 @@ def surface_operators(
     result of `layer_rows` for all independent rows, where these were formed elsewhere; with the
     spread completion it must hold the single layer.
     """
-    grid = scheme.grid(spheroid, n_phi)
+    grid = scheme.grid(shape, n_phi)
     n_modes = n_phi // 2 + 1
     if rows is None:
-        wanted = independent_rows(scheme.n_theta)
-        rows = layer_rows(spheroid, scheme, n_modes, wanted, completion == "surface")
+        wanted = independent_rows(shape, scheme.n_theta)
+        rows = layer_rows(shape, scheme, n_modes, wanted, completion == "surface")
     double = blocks_from_rows(rows[0])
     flows = {}
     if completion == "surface":
@@ -164,7 +165,7 @@ def body_model(operators: SurfaceOperators, functional: ModalFunctional) -> Body
     """Body model from the solutions of the adjoint problems."""
     coefficients, misfit = faxen_coefficients(functional)
     numbers = resistance(functional, operators.completion_flows)
-    return BodyModel(operators.grid.spheroid.aspect_ratio, numbers, coefficients, None, misfit)
+    return BodyModel(operators.grid.shape, numbers, coefficients, None, misfit)
 
 
 def modal_functional(

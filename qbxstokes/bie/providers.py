@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
-from qbxstokes.bie.resolution import MOST_NODES, confocal_rate, flow_nodes, motion_change
+from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, motion_change
 from qbxstokes.errors import FlowError
 from qbxstokes.geometry.rotation import matrix
 
@@ -65,7 +65,7 @@ class AdaptiveGridMotion:
     """Free motion in a flow with singular points, on a grid as fine as their distance asks for.
 
     The nodes follow from the rate at which the flow's surface harmonics decay
-    (`resolution.confocal_rate`), in steps of a quarter, so that each body of a batch and each
+    (`Shape.decay`), in steps of a quarter, so that each body of a batch and each
     instant has the resolution it needs. Raises FlowError when a body comes so near to a singular
     point that no admissible grid resolves the flow; `decay` tells how near it is before that
     happens.
@@ -84,7 +84,7 @@ class AdaptiveGridMotion:
     def decay(self, x: Array, q: Array) -> Array:
         """Rate (n,) per degree of the flow's harmonics on each body, 1 for a singular surface."""
         arms = (self._flow.singular_points - x[:, None, :]) @ matrix(q)
-        rates = confocal_rate(self._functional.grid.spheroid.aspect_ratio, arms)
+        rates = self._functional.grid.shape.decay(arms)
         return np.asarray(np.max(rates, axis=1))
 
     def nodes(self, x: Array, q: Array, t: float = 0.0) -> list[tuple[int, int]]:
@@ -139,7 +139,7 @@ class MonitoredGridMotion:
 
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
-        k = self._functional.grid.spheroid.aspect_ratio
+        size = self._functional.grid.shape.radius
         rotation, motion = matrix(q), np.empty((len(x), 6))
         waiting, level = np.arange(len(x)), self._start
         while True:
@@ -148,7 +148,7 @@ class MonitoredGridMotion:
             flow, motion[waiting] = fine.in_body(t, places, turns)
             _, rough = coarse.in_body(t, places, turns)
             with np.errstate(invalid="ignore"):
-                change = motion_change(motion[waiting], rough, flow, k)
+                change = motion_change(motion[waiting], rough, flow, size)
             self.finest = max(self.finest, level)
             # No grid helps where the flow has no value: the motion has none, either.
             open_still = np.isfinite(motion[waiting]).all(axis=1) & ~(change <= self._least)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.rigid import RigidMode
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 Completion = Literal["surface", "point"]
@@ -25,15 +25,13 @@ def surface_completion(grid: SurfaceGrid, single: Array) -> dict[str, Array]:
     """Amplitudes (3 n_theta,) on the surface of the spread completion of unit force or torque.
 
     The density is (a + b x y) with measure sin(theta) dtheta dphi, that is a support-function
-    weight; a gives the force 4 pi a, b the torque 8 pi k^2 / 3 about the axis and
-    4 pi (1 + k^2) / 3 across it. single: blocks (>= 2, 3n, 3n) of the single layer.
+    weight; a gives the force 4 pi a, b a torque that the shape knows. single: blocks
+    (>= 2, 3n, 3n) of the single layer.
     """
-    k = grid.spheroid.aspect_ratio
-    rho, z = k * np.sin(grid.theta), np.cos(grid.theta)
+    rho, z = grid.shape.meridian(grid.theta)
     zero, one = np.zeros_like(rho), np.ones_like(rho)
     along = 1.0 / (4.0 * np.pi)
-    about = 3.0 / (8.0 * np.pi * k * k)
-    across = 3.0 / (4.0 * np.pi * (1.0 + k * k))
+    across, _, about = grid.shape.torque_density
     return {
         "translation_axial": single[0] @ np.concatenate([zero, zero, along * one]),
         "rotation_axial": single[0] @ np.concatenate([zero, -about * rho, zero]),
@@ -44,8 +42,7 @@ def surface_completion(grid: SurfaceGrid, single: Array) -> dict[str, Array]:
 
 def point_completion(grid: SurfaceGrid) -> dict[str, Array]:
     """The same for the stokeslet and the rotlet at the centre (Bagge 2015, eq. 4.9-4.11)."""
-    k = grid.spheroid.aspect_ratio
-    rho, z = k * np.sin(grid.theta), np.cos(grid.theta)
+    rho, z = grid.shape.meridian(grid.theta)
     zero, one = np.zeros_like(rho), np.ones_like(rho)
     d = np.hypot(rho, z)
     c = 1.0 / (8.0 * np.pi)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import ModalFunctional
 from qbxstokes.errors import FlowError
@@ -23,30 +23,8 @@ POLYNOMIAL_NODES = 6
 MOST_NODES = 160
 
 
-def confocal_rate(aspect_ratio: float, points: ArrayLike) -> Array:
-    """Factor per degree by which the surface harmonics of a point singularity decay, (...).
-
-    points (..., 3) in the body frame. With the confocal spheroid through the point having semi-axes
-    (a', a', c'), the rate is (k + 1)/(a' + c'): the ratio of the confocal coordinates
-    xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
-    surface and not below it, and for a sphere the ratio of the distances.
-    """
-    k = float(aspect_ratio)
-    x = np.asarray(points, dtype=float)
-    z2 = x[..., 2] ** 2
-    r2 = x[..., 0] ** 2 + x[..., 1] ** 2
-    # r^2/(k^2 + s) + z^2/(1 + s) = 1 for the parameter s of the confocal family.
-    b = k * k + 1.0 - r2 - z2
-    c = k * k - r2 - z2 * k * k
-    root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
-    # The larger root, without cancellation whatever the sign of b.
-    s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
-    s = np.maximum(s, 0.0)
-    return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
-
-
 def flow_nodes(rate: float, tolerance: float) -> tuple[int, int]:
-    """Polar and azimuthal nodes that resolve a flow of the given `confocal_rate`.
+    """Polar and azimuthal nodes that resolve a flow of the given rate of decay (`Shape.decay`).
 
     The polar rule is Gauss's and gains the square of the rate per node. Raises FlowError if more
     than MOST_NODES would be needed.
@@ -87,11 +65,11 @@ def flow_error(
         u = velocity(grid.points)
         motions.append(np.einsum("anj,nj->a", grid.weights, u))
     # The finer grid errs as well, by much less.
-    k = functional.grid.spheroid.aspect_ratio
-    return 1.5 * float(motion_change(motions[0], motions[1], u, k))
+    size = functional.grid.shape.radius
+    return 1.5 * float(motion_change(motions[0], motions[1], u, size))
 
 
-def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> Array:
+def motion_change(fine: Array, coarse: Array, u: Array, radius: float) -> Array:
     """Relative difference (...) of two free motions (..., 6) in the flow u (..., N, 3), at points.
 
     The larger one of U's and Omega's, with the scales of `flow_error`.
@@ -99,7 +77,7 @@ def motion_change(fine: Array, coarse: Array, u: Array, aspect_ratio: float) -> 
     variation = u - u.mean(axis=-2, keepdims=True)
     scales = (
         0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
-        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / max(1.0, aspect_ratio),
+        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / radius,
     )
     # A uniform flow turns nothing: what it seems to turn is no error.
     rounding = 1e4 * scales[0] * float(np.finfo(float).eps)

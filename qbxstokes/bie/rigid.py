@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -41,10 +41,9 @@ def rigid_modes(grid: SurfaceGrid) -> dict[str, RigidMode]:
 
     The transverse rotation is that about y, whose amplitude is real: (z, z, -rho).
     """
-    k = grid.spheroid.aspect_ratio
-    rho, z = k * np.sin(grid.theta), np.cos(grid.theta)
+    rho, z = grid.shape.meridian(grid.theta)
     zero, one = np.zeros_like(rho), np.ones_like(rho)
-    weights = np.tile(grid.theta_weights * grid.spheroid.area_element(grid.theta), 3)
+    weights = np.tile(grid.theta_weights * grid.shape.area_element(grid.theta), 3)
 
     def make(mode: int, parts: list[Array], phase: complex = 1.0) -> RigidMode:
         amplitude = np.concatenate(parts)

@@ -3,7 +3,7 @@
 The velocity v on the surface grid is matched by the Stokes single layer whose density is a sum of
 spheroidal harmonics (`qbx.exterior`); outside it is B + grad(C - x . B) with B and C sums of
 exterior spheroidal harmonics, from the surface to infinity. The map is small blocks per azimuthal
-mode, shared by all bodies of one aspect ratio and unchanged when they move. Lengths in the polar
+mode, shared by all bodies of one shape and unchanged when they move. Lengths in the polar
 radius.
 """
 
@@ -15,7 +15,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import Harmonics, SurfaceToExterior
 
 Array = NDArray[np.float64]
@@ -24,15 +25,15 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Scatterer:
-    """Exterior flows of a spheroid from velocities on n polar and 2 n azimuthal nodes."""
+    """Exterior flows from velocities on n polar and 2 n azimuthal nodes, by exterior harmonics."""
 
-    aspect_ratio: float
+    shape: Revolution
     n: int
 
     @cached_property
     def grid(self) -> SurfaceGrid:
         """The surface grid."""
-        return SurfaceGrid(Spheroid(self.aspect_ratio), self.n, 2 * self.n)
+        return SurfaceGrid(self.shape, self.n, 2 * self.n)
 
     @cached_property
     def _map(self) -> SurfaceToExterior:
@@ -98,7 +99,7 @@ class Scatterer:
     @cached_property
     def _moments(self) -> tuple[float, Array]:
         """Monopole (1/r) and dipole (x/r^3, by component) of the lowest harmonics far away."""
-        h, k = self.harmonics, self.aspect_ratio
+        h, k = self.harmonics, self.harmonics.ratio_of_axes
         q0 = h.ratio[0, 0]
         across = h.diagonal[1] * 2.0 * k / (3.0 * h.ratio[1, 1])
         along = np.sqrt(1.5) / (3.0 * q0 * h.ratio[0, 1])
@@ -140,13 +141,7 @@ class Scatterer:
 
     def degree_for(self, points: Array, tolerance: float) -> int:
         """Degree beyond which harmonics are below tolerance at points (N, 3) of the body frame."""
-        k = self.aspect_ratio
-        e2 = (1.0 - k) * (1.0 + k)
-        rho2 = points[:, 0] ** 2 + points[:, 1] ** 2
-        s = rho2 + points[:, 2] ** 2 - e2
-        alpha2 = 0.5 * (s + np.sqrt(s * s + 4.0 * e2 * rho2))
-        alpha2 = np.maximum(alpha2.min(), k * k)
-        decay = (1.0 + k) / (np.sqrt(alpha2) + np.sqrt(alpha2 + e2))
+        decay = self.shape.decay(points).max()
         top = self.harmonics.degree
         if decay >= 1.0:
             return top
@@ -162,7 +157,7 @@ class Scatterer:
         values = np.empty((10 if second else 4, len(points), 2 * len(rows)))
         tabulate(
             np.ascontiguousarray(points),
-            self.aspect_ratio,
+            h.ratio_of_axes,
             degree,
             orders,
             1.0 / h.ratio,
@@ -228,6 +223,6 @@ _SECOND = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 @lru_cache(maxsize=64)
-def scatterer(aspect_ratio: float, n: int) -> Scatterer:
-    """The one scatterer of an aspect ratio and a number of polar nodes."""
-    return Scatterer(aspect_ratio, n)
+def scatterer(shape: Revolution, n: int) -> Scatterer:
+    """The one scatterer of a shape and a number of polar nodes."""
+    return Scatterer(shape, n)

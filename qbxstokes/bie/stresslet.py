@@ -39,8 +39,9 @@ from qbxstokes.bie.providers import BackgroundFlow
 from qbxstokes.bie.resolution import MOST_NODES
 from qbxstokes.bie.rigid import rigid_modes
 from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.rotation import matrix
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.operator import (
     Scheme,
@@ -144,7 +145,7 @@ class Stresslet:
 
 
 def accurate_stresslet(
-    spheroid: Spheroid,
+    shape: Revolution,
     tolerance: float,
     scheme: Scheme,
     *,
@@ -159,7 +160,7 @@ def accurate_stresslet(
     raise ConvergenceError where rounding keeps the estimate above the tolerance.
     """
     for _ in range(4):
-        found = _with_estimate(spheroid, scheme, solver, form_rows)
+        found = _with_estimate(shape, scheme, solver, form_rows)
         parts = found.error_parts
         refined = None if isinstance(scheme, UniformScheme) else refined_scheme(scheme, parts)
         if fixed or parts.total <= tolerance or refined is None:
@@ -168,32 +169,32 @@ def accurate_stresslet(
     if strict and not fixed and parts.total > tolerance:
         raise ConvergenceError(
             f"the estimated error {parts.total:.1e} of the stresslet exceeds the tolerance "
-            f"{tolerance:.1e} for aspect_ratio {spheroid.aspect_ratio:g}; set "
+            f"{tolerance:.1e} for the {shape}; set "
             f"hydrodynamics.tolerance to {2.0 * parts.total:.0e} or more"
         )
     return found
 
 
 def _with_estimate(
-    spheroid: Spheroid, scheme: Scheme, solver: SolverFactory, form_rows: RowFormer
+    shape: Revolution, scheme: Scheme, solver: SolverFactory, form_rows: RowFormer
 ) -> Stresslet:
     """The stresslet with its error, told as in `accuracy.estimate_error`: by refinement alone."""
-    rows = stresslet_rows(spheroid, scheme, form_rows)
-    functional = stresslet_functional(spheroid, scheme, solver, rows)
+    rows = stresslet_rows(shape, scheme, form_rows)
+    functional = stresslet_functional(shape, scheme, solver, rows)
     numbers = functional.numbers()
 
     def change(other: Array) -> float:
         return float(np.max(np.abs(other / numbers - 1.0)))
 
     def formed(other: Scheme) -> StressletFunctional:
-        return stresslet_functional(spheroid, other, form_rows=form_rows)
+        return stresslet_functional(shape, other, form_rows=form_rows)
 
     direct = functional
     if solver is not DirectSolver:
-        direct = stresslet_functional(spheroid, scheme, rows=rows)
+        direct = stresslet_functional(shape, scheme, rows=rows)
     # That of the panels of a flat body moves all entries alike, which no perturbation shows.
-    rounding = ROUNDING_FLOOR * max(1.0, 0.5 * spheroid.aspect_ratio) + max(
-        change(stresslet_functional(spheroid, scheme, rows=moved).numbers())
+    rounding = ROUNDING_FLOOR * max(1.0, 0.5 * shape.radius) + max(
+        change(stresslet_functional(shape, scheme, rows=moved).numbers())
         for moved in perturbed_rows(functional.grid, scheme, rows)
     )
     if isinstance(scheme, UniformScheme):
@@ -230,7 +231,7 @@ def _tail(functional: StressletFunctional) -> float:
 
 
 def stresslet_functional(
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     solver: SolverFactory = DirectSolver,
     rows: Array | None = None,
@@ -240,14 +241,14 @@ def stresslet_functional(
 
     rows: of the double layer in three modes (`stresslet_rows`), where they were formed before.
     """
-    grid = scheme.grid(spheroid, N_PHI)
+    grid = scheme.grid(shape, N_PHI)
     if rows is None:
-        rows = stresslet_rows(spheroid, scheme, form_rows)
+        rows = stresslet_rows(shape, scheme, form_rows)
     rigid = rigid_modes(grid)
     blocks = mobility_blocks(blocks_from_rows(rows), rigid)
     operator = ModalOperator(blocks, grid.n_theta, N_PHI)
     solve = solver(operator, grid).solve_transpose
-    weights = grid.theta_weights * spheroid.area_element(grid.theta)
+    weights = grid.theta_weights * shape.area_element(grid.theta)
     profiles = []
     for mode, strain in enumerate(_strain_amplitudes(grid)):
         circle = 2.0 * math.pi if mode == 0 else math.pi
@@ -269,9 +270,9 @@ def stresslet_functional(
     return StressletFunctional(grid, (profiles[0], profiles[1], profiles[2]))
 
 
-def stresslet_rows(spheroid: Spheroid, scheme: Scheme, form_rows: RowFormer = layer_rows) -> Array:
+def stresslet_rows(shape: Revolution, scheme: Scheme, form_rows: RowFormer = layer_rows) -> Array:
     """Independent rows of the double layer in the modes 0, 1 and 2."""
-    return form_rows(spheroid, scheme, _MODES, independent_rows(scheme.n_theta), False)[0]
+    return form_rows(shape, scheme, _MODES, independent_rows(shape, scheme.n_theta), False)[0]
 
 
 def stresslet_of(functional: GridFunctional, velocity: Array) -> Array:
@@ -282,7 +283,7 @@ def stresslet_of(functional: GridFunctional, velocity: Array) -> Array:
 
 def _strain_amplitudes(grid: SurfaceGrid) -> tuple[Array, Array, Array]:
     """Amplitudes (3 n_theta,) of n.E for the first strain rate of each mode."""
-    normal = grid.spheroid.normal(grid.theta, 0.0)
+    normal = grid.shape.normal(grid.theta, 0.0)
     across, along = normal[:, 0], normal[:, 2]
     nothing = np.zeros_like(along)
     return (
@@ -377,9 +378,7 @@ class GridStress:
             u = self._flow.velocity(points, t) @ rotation
             u = u - u.mean(axis=1, keepdims=True)
             speed = np.max(np.linalg.norm(u, axis=-1), axis=-1)
-        return stresslet_of(functional, u), speed / max(
-            1.0, self._functional.grid.spheroid.aspect_ratio
-        )
+        return stresslet_of(functional, u), speed / self._functional.grid.shape.radius
 
 
 def _finer(nodes: int) -> int:

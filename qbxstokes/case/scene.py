@@ -26,22 +26,65 @@ from qbxstokes.case.values import (
     to_number,
     with_numbers,
 )
+from qbxstokes.errors import SceneError
+from qbxstokes.geometry.registry import build_shape
 
 FREE, LOCKED, WITH_FLOW = "free", "locked", "with_flow"
 
 
-class Body(Section, shape=("other shapes are not there yet", "give aspect_ratio")):
-    """The spheroid: its shape and how heavy it is."""
+class ShapeSection(Section, is_open=True):
+    """The shape of a body: `type`, and the numbers of that type."""
 
-    aspect_ratio: Annotated[float, number(gt=0, le=1e6, ge=1e-6)] = key(
-        "k = a/c, equatorial over polar radius: prolate < 1, sphere 1, oblate > 1", example=0.5
+    type: str = key("name of the shape; its own keys follow in this section", example="spheroid")
+
+    @classmethod
+    def _prepare(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        return {n: v if n == "type" else to_number(v) for n, v in data.items()}
+
+
+_RATIO = number(gt=0, le=1e6, ge=1e-6)
+
+
+class Body(Section):
+    """The body: its shape, given in one of three ways, and how heavy it is."""
+
+    aspect_ratio: Annotated[float, _RATIO] | None = key(
+        "of a spheroid, k = a/c, equatorial over polar radius: prolate < 1, sphere 1, oblate > 1",
+        None,
+        0.5,
     )
+    length_over_diameter: Annotated[float, _RATIO] | None = key(
+        "of a spheroid, 1/k, in the place of aspect_ratio", None, 2.0
+    )
+    shape: ShapeSection | None = key("any shape, by its type and numbers", None)
     stokes_number: NotNegative = key(
         "St, particle inertia over viscous force; 0 is a massless body", 0.0, 10.0
     )
     inertia: Literal["both", "translation", "rotation"] = key(
         "inertia of both motions, or of one alone: the other then follows the flow", "both"
     )
+
+    @property
+    def outline(self) -> Any:
+        """The shape as an object."""
+        shape = None if self.shape is None else {"type": self.shape.type, **self.shape.extra}
+        return build_shape(self.aspect_ratio, self.length_over_diameter, shape)
+
+    def _check(self) -> None:
+        ways = ("aspect_ratio", "length_over_diameter", "shape")
+        given = [name for name in ways if getattr(self, name) is not None]
+        if not given:
+            meaning = self.declared["aspect_ratio"].meaning
+            right = f"{meaning}; for example aspect_ratio: 0.5"
+            raise Problem("is missing", right, ("aspect_ratio",))
+        if len(given) > 1:
+            raise Problem(f"gives {' and '.join(given)}", "exactly one of them says the shape")
+        try:
+            self.outline  # noqa: B018
+        except SceneError as error:
+            raise Problem(error.wrong, error.right, tuple(error.key.split("."))) from None
 
 
 class FlowSection(Section, is_open=True):

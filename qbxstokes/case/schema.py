@@ -189,19 +189,18 @@ class Case(
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.
 
-        r = 2 pi (r/h) / n_theta must not exceed the least of k q, q / k and q^3 / k over the
-        surface: min(k^2, 1) min(1, 1/k) = k^2 for k <= 1 and 1/k for k > 1.
+        r = 2 pi (r/h) / n_theta must not exceed the least admissible radius of the surface.
         """
-        k, n = self.body.aspect_ratio, self.hydrodynamics.n_theta
+        shape, n = self.body.outline, self.hydrodynamics.n_theta
         ratio = self.hydrodynamics.r_over_h
         if n is None or ratio is None:
             return
-        limit, formula = (k * k, "k^2") if k <= 1 else (1 / k, "1/k")
+        limit = shape.least_radius
         radius = 2 * math.pi * ratio / n
         if radius > limit:
             raise Problem(
                 f"r = 2 pi r_over_h / n_theta = {radius:.4g} leaves the admissible ball, "
-                f"r <= {formula} = {limit:.4g}",
+                f"r <= {limit:.4g} of the {shape}",
                 f"r_over_h <= {limit * n / (2 * math.pi):.4g} for this n_theta",
                 ("hydrodynamics", "r_over_h"),
             )

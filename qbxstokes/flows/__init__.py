@@ -6,7 +6,6 @@ from qbxstokes.flows.check import (
     check_regular,
     check_singularities,
     check_stokesian,
-    clearance,
 )
 from qbxstokes.flows.named import (
     Extension,
@@ -48,6 +47,5 @@ __all__ = [
     "check_regular",
     "check_singularities",
     "check_stokesian",
-    "clearance",
     "resolve_paths",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,8 +20,7 @@ _LEAST_GRADIENT = 1e-3
 _IRREGULAR = 1e-5
 # Radii of the spheres about one centre, over that of the largest.
 _PARTS = (1.0, 0.75, 0.5, 0.25)
-# Balls in which a disc is searched for singular points, and those that are computed together.
-_MOST = 500
+# Balls that are computed together.
 _AT_ONCE = 100
 
 
@@ -106,21 +106,31 @@ def _points_in_ball(flow: Flow, centre: Array, radius: float, seed: int, count: 
     return points[:count]
 
 
+class Outline(Protocol):
+    """The part of a shape that a flow is checked against."""
+
+    def clearance(self, points: ArrayLike, centre: ArrayLike, axis: ArrayLike) -> Array:
+        """Signed distance (..., m) of points (m, 3), for centres and axes (..., 3)."""
+
+    def interior_balls(self) -> tuple[Array, Array]:
+        """Centres (n, 3) and radii (n,) of balls inside, the axis the third coordinate."""
+
+
 def check_regular(
-    flow: Flow, centre: ArrayLike, axis: ArrayLike, aspect_ratio: float, t: float = 0.0
+    flow: Flow, centre: ArrayLike, axis: ArrayLike, shape: Outline, t: float = 0.0
 ) -> None:
     """Refuse a flow that is singular inside the body, whether or not it says so.
 
     centre, axis (3,). Where a Stokes flow is regular, its mean over a sphere of radius r is
     u + r^2 Lap u/6 with the values of the centre (Pizzetti 1909, Rend. Lincei 18, 182, for
     biharmonic functions), so that (mean - u)/r^2 is the same for all spheres about one centre.
-    Spheres along the focal segment or over the focal disc fill the body but for a tenth at its
-    surface, where the surface grid itself sees what is too near. A second quadrature bounds the
-    error of the first, as that from a singular point outside. A disc of k > 5 is searched in part.
+    Spheres fill the body but for a tenth at its surface, where the surface grid itself sees what is
+    too near. A second quadrature bounds the error of the first, as that from a singular point
+    outside. A flat body is searched in part (`Shape.interior_balls`).
     Raises FlowError with the place.
     """
     middle, along = np.asarray(centre, dtype=float), np.asarray(axis, dtype=float)
-    centres, radii = _balls(float(aspect_ratio))
+    centres, radii = shape.interior_balls()
     first = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
     first /= np.linalg.norm(first)
     centres = middle + centres @ np.stack([first, np.cross(along, first), along])
@@ -160,33 +170,6 @@ def _irregularity(flow: Flow, centres: Array, radii: Array, t: float) -> Array:
         return np.asarray(np.max(np.divide(apart, allowed_apart), axis=0))
 
 
-def _balls(k: float) -> tuple[Array, Array]:
-    """Centres (n, 3) and radii (n,) of balls in the body, its axis the third; neighbours overlap.
-
-    A disc of more than `_MOST` of them is searched at as many places, spread at random.
-    """
-    rings, place = [], 0.0
-    while True:
-        point = [0.0, 0.0, place] if k <= 1.0 else [place, 0.0, 0.0]
-        radius = -0.9 * float(clearance([point], [0.0] * 3, [0.0, 0.0, 1.0], k)[0])
-        if radius < 0.2 * min(k, 1.0):
-            break
-        rings.append((place, radius))
-        place += 0.6 * radius
-    if k <= 1.0:
-        z = np.array([sign * place for place, _ in rings for sign in (1.0, -1.0)])
-        return np.stack([0.0 * z, 0.0 * z, z], axis=-1), np.repeat([r for _, r in rings], 2)
-    angles = [
-        2.0 * np.pi * np.arange(count) / count
-        for count in (max(1, int(np.ceil(2.0 * np.pi * place / (0.6 * r)))) for place, r in rings)
-    ]
-    counts = [len(angle) for angle in angles]
-    phi, rho = np.concatenate(angles), np.repeat([place for place, _ in rings], counts)
-    centres = np.stack([rho * np.cos(phi), rho * np.sin(phi), 0.0 * rho], axis=-1)
-    chosen = np.random.default_rng(0).permutation(len(rho))[:_MOST]
-    return centres[chosen], np.repeat([r for _, r in rings], counts)[chosen]
-
-
 @cache
 def _sphere(n: int) -> tuple[Array, Array]:
     """Nodes (2 n^2, 3) and weights of the mean over the unit sphere, exact to degree 2 n - 1."""
@@ -201,47 +184,11 @@ def _text(point: Array) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"
 
 
-def clearance(points: ArrayLike, centre: ArrayLike, axis: ArrayLike, aspect_ratio: float) -> Array:
-    """Signed distance of points from spheroids, negative inside.
-
-    points (m, 3); centre and axis (..., 3), the axis of unit length; semi-axes (k, k, 1).
-    Returns (..., m). The nearest point of an ellipse is found from the one root t of
-    (a y/(t+a^2))^2 + (b z/(t+b^2))^2 = 1 above -min(a, b)^2 by bisection (D. Eberly, Distance from
-    a point to an ellipse, 2013).
-    """
-    k = float(aspect_ratio)
-    middle = np.asarray(centre, dtype=float)[..., None, :]
-    direction = np.asarray(axis, dtype=float)[..., None, :]
-    arm = np.asarray(points, dtype=float) - middle
-    height = np.abs(np.sum(arm * direction, axis=-1))
-    width = np.linalg.norm(np.cross(direction, arm), axis=-1)
-    low = np.maximum(k * (width - k), height - 1.0)
-    high = np.hypot(k * width, height) - min(k, 1.0) ** 2
-    tiny = np.finfo(float).tiny
-    for _ in range(64):
-        t = 0.5 * (low + high)
-        across = k * width / np.maximum(t + k * k, tiny)
-        along = height / np.maximum(t + 1.0, tiny)
-        outside = across**2 + along**2 > 1.0
-        low, high = np.where(outside, t, low), np.where(outside, high, t)
-    across = np.minimum(k * width / np.maximum(high + k * k, tiny), 1.0)
-    along = np.minimum(height / np.maximum(high + 1.0, tiny), 1.0)
-    # On the focal segment or disc the coordinate along the shorter semi-axis is 0/0 there and
-    # follows from the ellipse.
-    if k < 1.0:
-        across = np.where(high + k * k < 1e-14, np.sqrt(1.0 - along**2), across)
-    else:
-        along = np.where(high + 1.0 < 1e-14, np.sqrt(1.0 - across**2), along)
-    distance = np.hypot(width - k * across, height - along)
-    inside = (width / k) ** 2 + height**2 < 1.0
-    return np.where(inside, -distance, distance)
-
-
 def check_singularities(
     flow: Flow,
     centre: ArrayLike,
     axis: ArrayLike,
-    aspect_ratio: float,
+    shape: Outline,
     minimum: float = 0.0,
 ) -> float:
     """Least distance of the flow's singular points from the body; infinite if there are none.
@@ -252,7 +199,7 @@ def check_singularities(
     points = flow.singular_points
     if len(points) == 0:
         return float("inf")
-    distance = clearance(points, centre, axis, aspect_ratio)
+    distance = shape.clearance(points, centre, axis)
     least = float(distance.min())
     if least <= minimum:
         worst = points[np.unravel_index(distance.argmin(), distance.shape)[-1]]

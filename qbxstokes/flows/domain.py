@@ -130,17 +130,16 @@ def tube(radius: float) -> Domain:
     return (Cylinder(np.zeros(3), np.array([1.0, 0.0, 0.0]), radius),)
 
 
-def extent(axis: ArrayLike, aspect_ratio: float) -> Array:
-    """The matrix C (..., 3, 3) of spheroids with semi-axes (k, k, 1) and these axes (..., 3)."""
-    d, square = np.asarray(axis, dtype=float), aspect_ratio * aspect_ratio
-    return np.asarray(square * np.eye(3) + (1.0 - square) * d[..., :, None] * d[..., None, :])
+class Outline(Protocol):
+    """The part of a shape that a domain is checked against."""
+
+    def extent(self, axis: ArrayLike) -> Array:
+        """The matrix C (..., 3, 3) of an ellipsoid around bodies with these axes (..., 3)."""
 
 
-def outside(
-    domain: Domain, centre: ArrayLike, axis: ArrayLike, aspect_ratio: float
-) -> dict[int, str]:
-    """Which of n spheroids, centres and axes (n, 3), are not inside a domain, and why."""
-    x, body = np.asarray(centre, dtype=float), extent(axis, aspect_ratio)
+def outside(domain: Domain, centre: ArrayLike, axis: ArrayLike, shape: Outline) -> dict[int, str]:
+    """Which of n bodies, centres and axes (n, 3), are not inside a domain, and why."""
+    x, body = np.asarray(centre, dtype=float), shape.extent(axis)
     found: dict[int, str] = {}
     for edge in domain:
         gap = edge.gap(x, body)

@@ -1,4 +1,4 @@
-"""Spheroid with semi-axes (k, k, 1) in its body frame, and the surface grid on it.
+"""Spheroids of semi-axes (k, k, 1), by closed forms.
 
 Lengths are in units of the polar radius c; k = a/c is the aspect ratio.
 """
@@ -7,31 +7,48 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import SceneError
+from qbxstokes.geometry.shape import MOST_BALLS, Revolution, Symmetry
 
 Array = NDArray[np.float64]
-PolarNodes = Literal["cosine", "theta"]
 
 
 @dataclass(frozen=True)
-class Spheroid:
+class Spheroid(Revolution):
     """Surface x = (k sin(theta) cos(phi), k sin(theta) sin(phi), cos(theta)).
 
     Prolate for k < 1, a sphere for k = 1, oblate for k > 1 (Bagge 2015, eq. 2.2, 5.1).
-    Raises CaseError unless 0 < k < inf.
+    Raises SceneError unless 0 < k < inf.
     """
+
+    name: ClassVar[str] = "spheroid"
 
     aspect_ratio: float
 
     def __post_init__(self) -> None:
         if not (self.aspect_ratio > 0 and math.isfinite(self.aspect_ratio)):
-            raise CaseError(f"aspect_ratio is {self.aspect_ratio}; it must be positive and finite")
+            wrong = f"is {self.aspect_ratio}"
+            raise SceneError("aspect_ratio", wrong, "it must be positive and finite")
+
+    @property
+    def symmetry(self) -> Symmetry:
+        """That of a sphere for k = 1."""
+        return "sphere" if self.aspect_ratio == 1.0 else "fore-aft revolution"
+
+    @property
+    def semi_axes(self) -> tuple[float, float, float]:  # type: ignore[override]
+        """(k, k, 1)."""
+        return self.aspect_ratio, self.aspect_ratio, 1.0
+
+    @property
+    def effective_ratio(self) -> float:  # type: ignore[override]
+        """k."""
+        return self.aspect_ratio
 
     @property
     def volume(self) -> float:
@@ -55,105 +72,141 @@ class Spheroid:
 
     @property
     def inertia(self) -> Array:
-        """Diagonal (3,) of the inertia tensor in the body frame, unit density (eq. 3.19)."""
+        """Principal moments (3,), unit density (Bagge 2015, eq. 3.19)."""
         k2 = self.aspect_ratio**2
         return 4.0 * math.pi / 15.0 * k2 * np.array([k2 + 1.0, k2 + 1.0, 2.0 * k2])
 
-    def q(self, theta: ArrayLike) -> Array:
-        """Length |dx/dtheta| = sqrt(sin^2 + k^2 cos^2), shape of theta."""
-        theta = np.asarray(theta, dtype=float)
-        return np.asarray(np.hypot(np.sin(theta), self.aspect_ratio * np.cos(theta)))
+    @property
+    def radius(self) -> float:
+        """The longer semi-axis."""
+        return max(1.0, self.aspect_ratio)
 
-    def surface(self, theta: ArrayLike, phi: ArrayLike) -> Array:
-        """Points (..., 3) of the surface at the broadcast angles."""
-        theta, phi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
-        radius = self.aspect_ratio * np.sin(theta)
-        return np.stack([radius * np.cos(phi), radius * np.sin(phi), np.cos(theta)], axis=-1)
+    @property
+    def torque_density(self) -> Array:
+        """b (3,) for unit torques: 4 pi (1 + k^2)/3 across the axis, 8 pi k^2/3 about it."""
+        k = self.aspect_ratio
+        across = 3.0 / (4.0 * np.pi * (1.0 + k * k))
+        return np.array([across, across, 3.0 / (8.0 * np.pi * k * k)])
 
-    def normal(self, theta: ArrayLike, phi: ArrayLike) -> Array:
-        """Outward unit normals (..., 3) at the broadcast angles."""
-        theta, phi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
-        s = np.sin(theta)
-        n = np.stack([s * np.cos(phi), s * np.sin(phi), self.aspect_ratio * np.cos(theta)], axis=-1)
-        return np.asarray(n / self.q(theta)[..., None])
+    def meridian(self, theta: Array) -> tuple[Array, Array]:
+        """rho and z at theta."""
+        return self.aspect_ratio * np.sin(theta), np.cos(theta)
 
-    def area_element(self, theta: ArrayLike) -> Array:
-        """W with dS = W dtheta dphi: k sin(theta) q(theta) (Bagge 2015, eq. 5.7)."""
-        return np.asarray(self.aspect_ratio * np.sin(np.asarray(theta, float)) * self.q(theta))
+    def tangent(self, theta: Array) -> tuple[Array, Array]:
+        """d rho/d theta and dz/d theta."""
+        return self.aspect_ratio * np.cos(theta), -np.sin(theta)
+
+    def second(self, theta: Array) -> tuple[Array, Array]:
+        """Second derivatives of rho and z."""
+        return -self.aspect_ratio * np.sin(theta), -np.cos(theta)
+
+    def difference(self, theta: Array, at: float) -> tuple[Array, Array]:
+        """rho and z at theta less those at one place, exact to rounding however close they are."""
+        half = np.sin(0.5 * (theta - at))
+        middle = 0.5 * (theta + at)
+        return 2.0 * self.aspect_ratio * np.cos(middle) * half, -2.0 * np.sin(middle) * half
+
+    def area_vector(self, theta: Array) -> tuple[Array, Array]:
+        """Normal times dS / (dtheta dphi) = k sin(theta) (sin(theta), k cos(theta))."""
+        k, s, c = self.aspect_ratio, np.sin(theta), np.cos(theta)
+        return k * s * s, k * k * s * c
 
     def admissible_radius(self, theta: ArrayLike) -> Array:
         """Largest radius of a ball that touches the surface at theta alone, either side.
 
-        The inscribed ball has radius min(k q, q / k), the radii of curvature are k q and
-        q^3 / k; the least of the three bounds both inner and outer expansions.
+        The inscribed ball has radius min(k q, q / k) with q = |dx/dtheta|, the radii of curvature
+        are k q and q^3 / k; the least of the three bounds both inner and outer expansions.
         """
-        q = self.q(theta)
-        k = self.aspect_ratio
+        q, k = self.speed(theta), self.aspect_ratio
         return np.minimum(np.minimum(k * q, q / k), q**3 / k)
 
-
-@cache
-def gauss_legendre(n: int) -> tuple[Array, Array]:
-    """Nodes and weights (n,) of the Gauss-Legendre rule on [-1, 1]; not to be changed."""
-    x, w = np.polynomial.legendre.leggauss(n)
-    return np.asarray(x), np.asarray(w)
-
-
-@dataclass(frozen=True)
-class SurfaceGrid:
-    """Polar nodes times equispaced azimuthal nodes; point index i_theta * n_phi + j_phi.
-
-    The polar nodes are Gauss-Legendre in cos(theta), which with interpolation in cos(theta) holds
-    polynomial densities exactly, or Gauss-Legendre in theta on [0, pi] (Bagge 2015, sec. 5.1).
-    """
-
-    spheroid: Spheroid
-    n_theta: int
-    n_phi: int
-    nodes: PolarNodes = "cosine"
-
-    @cached_property
-    def _gauss(self) -> tuple[Array, Array, Array]:
-        x, w = gauss_legendre(self.n_theta)
-        barycentric = (-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w)
-        if self.nodes == "cosine":
-            # arctan2 keeps the nodes symmetric and accurate near the poles.
-            s = np.sqrt((1.0 - x) * (1.0 + x))
-            return np.arctan2(s, -x), w / s, barycentric
-        return np.pi * (x + 1.0) / 2.0, np.pi / 2.0 * w, barycentric
-
     @property
-    def theta(self) -> Array:
-        """Polar nodes (n_theta,), increasing."""
-        return self._gauss[0]
+    def least_radius(self) -> float:
+        """k^2 of a prolate body, at its poles, and 1/k of an oblate one (Bagge 2015, 5.3.3)."""
+        k = self.aspect_ratio
+        return k * k if k <= 1.0 else 1.0 / k
 
-    @property
-    def theta_weights(self) -> Array:
-        """Weights (n_theta,) of the polar nodes with respect to d theta."""
-        return self._gauss[1]
+    def level(self, points: Array) -> Array:
+        """(x^2 + y^2)/k^2 + z^2."""
+        k = self.aspect_ratio
+        return np.asarray(
+            (points[..., 0] ** 2 + points[..., 1] ** 2) / (k * k) + points[..., 2] ** 2
+        )
 
-    @property
-    def barycentric(self) -> Array:
-        """Barycentric interpolation weights (n_theta,) of the polar nodes."""
-        return self._gauss[2]
+    def nearest(self, rho: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
+        """theta of the nearest point of the surface, and the distance, negative inside.
 
-    @cached_property
-    def phi(self) -> Array:
-        """Azimuthal nodes (n_phi,), starting at 0."""
-        return 2.0 * np.pi * np.arange(self.n_phi) / self.n_phi
+        The nearest point of an ellipse is found from the one root t of
+        (a y/(t+a^2))^2 + (b z/(t+b^2))^2 = 1 above -min(a, b)^2 by bisection (D. Eberly, Distance
+        from a point to an ellipse, 2013).
+        """
+        k, width, height = self.aspect_ratio, np.asarray(rho, float), np.abs(z)
+        low = np.maximum(k * (width - k), height - 1.0)
+        high = np.hypot(k * width, height) - min(k, 1.0) ** 2
+        tiny = np.finfo(float).tiny
+        for _ in range(64):
+            t = 0.5 * (low + high)
+            across = k * width / np.maximum(t + k * k, tiny)
+            along = height / np.maximum(t + 1.0, tiny)
+            outside = across**2 + along**2 > 1.0
+            low, high = np.where(outside, t, low), np.where(outside, high, t)
+        across = np.minimum(k * width / np.maximum(high + k * k, tiny), 1.0)
+        along = np.minimum(height / np.maximum(high + 1.0, tiny), 1.0)
+        # On the focal segment or disc the coordinate along the shorter semi-axis is 0/0 there and
+        # follows from the ellipse.
+        if k < 1.0:
+            across = np.where(high + k * k < 1e-14, np.sqrt(1.0 - along**2), across)
+        else:
+            along = np.where(high + 1.0 < 1e-14, np.sqrt(1.0 - across**2), along)
+        distance = np.hypot(width - k * across, height - along)
+        inside = (width / k) ** 2 + height**2 < 1.0
+        theta = np.arctan2(across, np.copysign(along, z))
+        return theta, np.where(inside, -distance, distance)
 
-    @cached_property
-    def points(self) -> Array:
-        """Grid points (N, 3)."""
-        return self.spheroid.surface(self.theta[:, None], self.phi).reshape(-1, 3)
+    def extent(self, axis: ArrayLike) -> Array:
+        """Matrices C (..., 3, 3) of the bodies with these axes D3 (..., 3): n.C n = h^2."""
+        d, square = np.asarray(axis, dtype=float), self.aspect_ratio * self.aspect_ratio
+        return np.asarray(square * np.eye(3) + (1.0 - square) * d[..., :, None] * d[..., None, :])
 
-    @cached_property
-    def normals(self) -> Array:
-        """Outward unit normals (N, 3)."""
-        return self.spheroid.normal(self.theta[:, None], self.phi).reshape(-1, 3)
+    def interior_balls(self) -> tuple[Array, Array]:
+        """Centres (n, 3) and radii (n,) of balls along the focal segment or over the focal disc.
 
-    @cached_property
-    def weights(self) -> Array:
-        """Quadrature weights (N,): sum(f * weights) approximates the surface integral of f."""
-        w = self.theta_weights * self.spheroid.area_element(self.theta) * (2 * np.pi / self.n_phi)
-        return np.repeat(w, self.n_phi)
+        A disc of more than `MOST_BALLS` of them is filled at as many places, spread at random.
+        """
+        k, rings, place = self.aspect_ratio, [], 0.0
+        while True:
+            point = (0.0, place) if k <= 1.0 else (place, 0.0)
+            radius = -0.9 * float(self.nearest(*point)[1])
+            if radius < 0.2 * min(k, 1.0):
+                break
+            rings.append((place, radius))
+            place += 0.6 * radius
+        if k <= 1.0:
+            z = np.array([sign * place for place, _ in rings for sign in (1.0, -1.0)])
+            return np.stack([0.0 * z, 0.0 * z, z], axis=-1), np.repeat([r for _, r in rings], 2)
+        counts = [max(1, int(np.ceil(2.0 * np.pi * place / (0.6 * r)))) for place, r in rings]
+        phi = np.concatenate([2.0 * np.pi * np.arange(count) / count for count in counts])
+        rho = np.repeat([place for place, _ in rings], counts)
+        centres = np.stack([rho * np.cos(phi), rho * np.sin(phi), 0.0 * rho], axis=-1)
+        chosen = np.random.default_rng(0).permutation(len(rho))[:MOST_BALLS]
+        return centres[chosen], np.repeat([r for _, r in rings], counts)[chosen]
+
+    def decay(self, points: ArrayLike) -> Array:
+        """Factor (...) per degree by which surface harmonics decay from the surface to points.
+
+        points (..., 3) in the body frame. With the confocal spheroid through the point having
+        semi-axes (a', a', c'), it is (k + 1)/(a' + c'): the ratio of the confocal coordinates
+        xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
+        surface and not below it, and for a sphere the ratio of the distances.
+        """
+        k, x = float(self.aspect_ratio), np.asarray(points, dtype=float)
+        z2 = x[..., 2] ** 2
+        r2 = x[..., 0] ** 2 + x[..., 1] ** 2
+        # r^2/(k^2 + s) + z^2/(1 + s) = 1 for the parameter s of the confocal family.
+        b = k * k + 1.0 - r2 - z2
+        c = k * k - r2 - z2 * k * k
+        root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
+        # The larger root, without cancellation whatever the sign of b.
+        s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
+        s = np.maximum(s, 0.0)
+        return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))

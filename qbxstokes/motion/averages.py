@@ -63,7 +63,7 @@ class ShearFrame:
 def turn_averages(
     times: Array,
     samples: dict[str, Array],
-    aspect_ratio: float,
+    effective_ratio: float,
     frame: ShearFrame,
     discard: float = 0.0,
 ) -> dict[str, Array]:
@@ -82,7 +82,7 @@ def turn_averages(
     t = times[first:]
     axis, omega = samples["axis"][first:], samples["angular_velocity"][first:]
     x, v = samples["position"][first:], samples["velocity"][first:]
-    k = aspect_ratio if frame.simple else 1.0
+    k = effective_ratio if frame.simple else 1.0
     n = axis.shape[1]
     d = axis @ frame.axes.T
     rate = np.cross(omega, axis) @ frame.axes.T
@@ -136,7 +136,7 @@ def turn_averages(
             speed = (place - start_place) / span[:, None]
             early_speed = (place2 - start_place) / half[:, None]
             late_speed = (place - place2) / (span - half)[:, None]
-            constants = [orbit_constant(d, aspect_ratio, frame.axes) for d in (axis[0], ending)]
+            constants = [orbit_constant(d, effective_ratio, frame.axes) for d in (axis[0], ending)]
             drift = np.log(constants[1] / constants[0]) / span
             drift = np.where(np.maximum(*constants) < _TUMBLING, drift, np.nan)
     else:
@@ -153,7 +153,7 @@ def turn_averages(
     halves = (some & (middle_count >= 1))[:, None]
     result["velocity_change"] = np.where(halves, late_speed - early_speed, np.nan)
     for name, ends in (("start", samples["axis"][0]), ("end", axis[-1])):
-        constant = orbit_constant(ends, aspect_ratio, frame.axes)
+        constant = orbit_constant(ends, effective_ratio, frame.axes)
         result[f"orbit_constant_{name}"] = constant if frame.simple else np.full(n, np.nan)
     drifts = some & np.isfinite(drift) & frame.simple
     result["orbit_drift"] = np.where(drifts, drift, np.nan)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.kernels import KERNELS
 from qbxstokes.motion.lanes import PerLane
 
@@ -39,8 +38,8 @@ class Bodies:
         self.law, self.mobility, self.gyration = self.kernels.unpack_body(numbers)
         self.resistance = self._columns(lambda entry: _resistance(entry, driven))
         self.inertia = self._columns(_inertia)
-        # Aspect ratios, (1,) or (n_lanes,).
-        self.aspect_ratio: Array = self._columns(lambda entry: [entry.aspect_ratio])[0]
+        # Of the spheroids whose axes move alike, (1,) or (n_lanes,).
+        self.effective_ratio: Array = self._columns(lambda entry: [entry.effective_ratio])[0]
 
     def _columns(self, numbers: Any) -> Array:
         table = self.models.table(numbers)
@@ -52,7 +51,7 @@ def _key(model: BodyModel) -> Any:
     law = model.faxen
     drag = None if model.formed_resistance is None else tuple(_resistance(model, True))
     numbers = law.linear, law.rest, *law.quadratic, *law.cubic, law.rest_of_second
-    return law.symmetry, model.aspect_ratio, drag, numbers
+    return law.symmetry, model.shape, drag, numbers
 
 
 def _resistance(model: BodyModel, driven: bool) -> list[float]:
@@ -62,6 +61,5 @@ def _resistance(model: BodyModel, driven: bool) -> list[float]:
 
 def _inertia(model: BodyModel) -> list[float]:
     """Volume and moments of inertia, in the order of the resistance."""
-    spheroid = Spheroid(model.aspect_ratio)
-    j1, _, j3 = spheroid.inertia.tolist()
-    return [spheroid.volume, spheroid.volume, j1, j3]
+    volume, (j1, _, j3) = model.shape.volume, model.shape.inertia.tolist()
+    return [volume, volume, j1, j3]

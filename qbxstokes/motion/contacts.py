@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.flows.check import clearance
-from qbxstokes.flows.domain import Edge, extent
+from qbxstokes.flows.domain import Edge
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.motion.roots import root
 
@@ -53,23 +53,23 @@ class Contact:
     reason: str
 
 
-def edge_gap(edge: Edge, aspect_ratio: float, lanes: slice) -> Gap:
+def edge_gap(edge: Edge, shape: Shape, lanes: slice) -> Gap:
     """The gap to an edge of the flow's domain."""
 
     def distance(states: Array) -> Array:
         axes = rotation.axis(rotation.normalize(states[:, ORIENTATION]))
-        return edge.gap(states[:, POSITION], extent(axes, aspect_ratio))
+        return edge.gap(states[:, POSITION], shape.extent(axes))
 
     reason = f"the body's surface reached {edge}, where its flow ends"
     return Gap("domain_exit", distance, edge.room, reason, lanes)
 
 
-def singular_gap(points: Array, aspect_ratio: float, least: float) -> Gap:
+def singular_gap(points: Array, shape: Shape, least: float) -> Gap:
     """The gap to the singular points of a flow, of which `least` must be left."""
 
     def distance(states: Array) -> Array:
         axes = rotation.axis(rotation.normalize(states[:, ORIENTATION]))
-        away = clearance(points, states[:, POSITION], axes, aspect_ratio)
+        away = shape.clearance(points, states[:, POSITION], axes)
         return np.asarray(away.min(axis=-1) - least)
 
     def room(centres: Array) -> Array:

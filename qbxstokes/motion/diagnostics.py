@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def orbit_constant(
-    axis: ArrayLike, aspect_ratio: float | Array, frame: ArrayLike | None = None
+    axis: ArrayLike, effective_ratio: float | Array, frame: ArrayLike | None = None
 ) -> Array:
     """C = sqrt(b^2 + k^2 a^2)/(k |n|), (..., 3) -> (...): 0 log-rolling, infinite tumbling."""
     d = np.asarray(axis, dtype=np.float64)
@@ -25,22 +25,22 @@ def orbit_constant(
         d = d @ np.asarray(frame, dtype=np.float64).T
     a, b, n = d[..., 0], d[..., 1], d[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.hypot(b, aspect_ratio * a) / (aspect_ratio * np.abs(n)))
+        return np.asarray(np.hypot(b, effective_ratio * a) / (effective_ratio * np.abs(n)))
 
 
-def orbit_axis(aspect_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -> Array:
+def orbit_axis(effective_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike) -> Array:
     """Axis (..., 3) on the Jeffery orbit C in the shear (x2, 0, 0), any length but zero.
 
     (C cos p, -C k sin p, 1), and its limit (cos p, -k sin p, 0) for infinite C; the phase p of a
     massless body grows by 2 pi in a period (Jeffery 1922, eqs. 48 f.).
     """
-    k, c, p = (np.asarray(value, dtype=float) for value in (aspect_ratio, constant, phase))
+    k, c, p = (np.asarray(value, dtype=float) for value in (effective_ratio, constant, phase))
     # Both divided by 1 + C, so that tumbling needs no case of its own but the number itself.
     part = np.where(np.isinf(c), 1.0, c / (1.0 + np.where(np.isinf(c), 0.0, c)))
     return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
 
 
-def jeffery_period(gradient: Array, aspect_ratio: float) -> float | None:
+def jeffery_period(gradient: Array, effective_ratio: float) -> float | None:
     """Period of a free spheroid's axis in a linear flow, None where it comes to rest.
 
     The axis follows the linear system dd/dt = (W + lambda E) d up to its length, with
@@ -48,7 +48,7 @@ def jeffery_period(gradient: Array, aspect_ratio: float) -> float | None:
     eigenvalues +-i omega + sigma makes it turn with period 2 pi/omega. In a shear of rate 1 this
     is Jeffery's 2 pi (k + 1/k).
     """
-    k = aspect_ratio
+    k = effective_ratio
     shape = (1.0 - k * k) / (1.0 + k * k)
     largest = float(np.abs(gradient).max())
     if not largest > 0.0:

@@ -65,7 +65,7 @@ class Passage:
     stretch: float
 
     @classmethod
-    def of(cls, gradient: Array, aspect_ratio: float, plane: Array | None = None) -> Passage:
+    def of(cls, gradient: Array, effective_ratio: float, plane: Array | None = None) -> Passage:
         """The plane through which a body in this velocity gradient swings fastest, or a given one.
 
         In a shear the axis of a prolate body passes the plane normal to the stream fastest, that
@@ -80,7 +80,7 @@ class Passage:
                 about = np.eye(3)[int(np.argmin(np.abs(normal)))]
                 about = about - (about @ normal) * normal
             return cls(normal, about / np.linalg.norm(about), 1.0)
-        k = aspect_ratio if frame.simple else 1.0
+        k = effective_ratio if frame.simple else 1.0
         return cls(stream, about, k) if k <= 1.0 else cls(across, about, 1.0 / k)
 
     def __post_init__(self) -> None:
@@ -235,7 +235,7 @@ class Events:
         v, _ = self.equations.velocities(t, y)
         constant = math.nan
         if self.frame is not None:
-            k = self.equations.model.aspect_ratio
+            k = self.equations.model.effective_ratio
             constant = float(orbit_constant(axis, k, self.frame.axes))
         row = [t, *y[0, POSITION].tolist(), *axis.tolist(), *v[0].tolist(), constant]
         if event.name == "half_turns":

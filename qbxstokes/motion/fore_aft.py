@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.frames import (
     body_axes,
     quaternion_rate_body,
@@ -53,7 +52,7 @@ def pack_body(model: BodyModel, driven: bool) -> list[float]:
     law = model.faxen
     _, c1, c2, c3 = law.cubic
     drag = vars(model.resistance).values() if driven else (math.nan,) * 4
-    j1, _, j3 = Spheroid(model.aspect_ratio).inertia.tolist()
+    j1, _, j3 = model.shape.inertia.tolist()
     return [
         *(law.rest, law.linear),
         *(1.0 / value for value in drag),

@@ -105,7 +105,7 @@ class Moment:
 def _orbit_constant(moment: Moment) -> Array:
     if moment.shear is None:
         return np.full(len(moment.states), np.nan)
-    return orbit_constant(moment.axis, moment.equations.aspect_ratio, moment.shear)
+    return orbit_constant(moment.axis, moment.equations.effective_ratio, moment.shear)
 
 
 OBSERVABLES: dict[str, Callable[[Moment], Array]] = {

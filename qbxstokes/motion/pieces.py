@@ -110,9 +110,9 @@ class Pieces:
         return self.bodies.models.only
 
     @property
-    def aspect_ratio(self) -> Array:
-        """Aspect ratios of the lanes, (n_lanes,)."""
-        return np.broadcast_to(self.bodies.aspect_ratio, (self.n_lanes,))
+    def effective_ratio(self) -> Array:
+        """Ratios k of the spheroids whose axes move as those of the lanes, (n_lanes,)."""
+        return np.broadcast_to(self.bodies.effective_ratio, (self.n_lanes,))
 
     @property
     def free_of_torque(self) -> bool:
@@ -332,7 +332,7 @@ class Pieces:
         error of both Runge-Kutta pairs after ten periods is 0.04 to 1.4 times the tolerance then,
         for k from 1/50 to 50.
         """
-        k = self.bodies.aspect_ratio
+        k = self.bodies.effective_ratio
         slenderness = np.maximum(k, 1.0 / k)
         turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
         return float(np.max(slenderness * slenderness * np.maximum(1.0, turns)))

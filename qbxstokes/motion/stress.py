@@ -37,14 +37,14 @@ class StressSource(Protocol):
         """Velocity gradient (n, 3, 3) of the background flow at the centres."""
 
 
-def mean_strain(flow: PolynomialFlow, x: Array, p: Array, aspect_ratio: float) -> Array:
-    """Strain rate's mean over the volume of spheroids at x (n, 3) with axes p (n, 3).
+def mean_strain(flow: PolynomialFlow, x: Array, p: Array, k: float) -> Array:
+    """Strain rate's mean over the volume of spheroids (k, k, 1) at x (n, 3) with axes p (n, 3).
 
     Rows (6, n) or (6, 1) of its components 11 22 33 12 13 23.
     """
     gradient = flow.gradient(x) if flow.degree > 1 else flow.gradient_tensor[None]
     if flow.degree == 3:
-        square = aspect_ratio * aspect_ratio
+        square = k * k
         laplacian = np.einsum("ijkk->ij", flow.third)
         twice = np.einsum("nkl,ijkl->nij", p[:, :, None] * p[:, None, :], flow.third)
         gradient = gradient + 0.1 * (square * laplacian + (1.0 - square) * twice)

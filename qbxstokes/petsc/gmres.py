@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.petsc.session import LIVE, temporary_options
 from qbxstokes.petsc.shell import PreconditionerContext, shell_matrix
 from qbxstokes.qbx.modes import ModalOperator

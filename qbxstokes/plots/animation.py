@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.plots import style
 from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.path import draw_path, plane_of_motion
 from qbxstokes.plots.series import moves
-from qbxstokes.plots.source import ResultLike, aspect_ratio, instants, samples, vectors
+from qbxstokes.plots.source import ResultLike, instants, samples, shape_of, vectors
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -127,13 +127,13 @@ def _palette() -> list[int]:
 class View:
     """The body seen from the moving camera; `show` puts it at a frame."""
 
-    def __init__(self, axes: Axes, motion: Frames, aspect_ratio: float, camera: Camera) -> None:
+    def __init__(self, axes: Axes, motion: Frames, shape: Revolution, camera: Camera) -> None:
         """Draw everything once, at the first frame."""
         from matplotlib.collections import PolyCollection
 
         self._axes, self._motion, self._camera = axes, motion, camera
-        self._size = max(1.0, aspect_ratio)
-        self._spheroid = Spheroid(aspect_ratio)
+        self._size = shape.radius
+        self._shape = shape
         self._reach = 1.35 * self._size
         limit = 1.12 * self._reach
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
@@ -164,12 +164,12 @@ class View:
         """Corners (n, 4, 3), normals (n, 3) and shade (n,) of the facets, in the body frame."""
         theta = np.linspace(0.0, np.pi, 31)
         phi = np.linspace(0.0, 2.0 * np.pi, 61)
-        corners = self._spheroid.surface(theta[:, None], phi[None, :])
+        corners = self._shape.surface(theta[:, None], phi[None, :])
         facets = np.stack(
             [corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=2
         ).reshape(-1, 4, 3)
         middle = 0.5 * (theta[1:] + theta[:-1]), 0.5 * (phi[1:] + phi[:-1])
-        normals = self._spheroid.normal(middle[0][:, None], middle[1][None, :]).reshape(-1, 3)
+        normals = self._shape.normal(middle[0][:, None], middle[1][None, :]).reshape(-1, 3)
         sector = np.floor(middle[1] / (2.0 * np.pi) * _SECTORS).astype(int) % 2
         return facets, normals, np.tile(sector, len(middle[0])).astype(float)
 
@@ -331,7 +331,7 @@ def animate(
     with style.styled():
         figure = _blank(width)
         scene = View(
-            figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, aspect_ratio(result), camera
+            figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, shape_of(result), camera
         )
         place = _place_beside(figure, result, motion) if beside else None
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.plots import style
-from qbxstokes.plots.source import ResultLike, aspect_ratio
+from qbxstokes.plots.source import ResultLike, shape_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -263,7 +263,7 @@ def _body_section(
     axes: Axes, result: ResultLike, plane: Mapping[str, Any], a: Array, b: Array, step: int
 ) -> None:
     """Fill the section of the body by the plane, and draw its outline."""
-    k = aspect_ratio(result)
+    shape = shape_of(result)
     turn = rotation.matrix(_state(result, step, "orientation"))
     # On a grid of its own, fine enough for the outline of any section.
     fine_a, fine_b = np.linspace(a[0], a[-1], 801), np.linspace(b[0], b[-1], 801)
@@ -273,7 +273,7 @@ def _body_section(
     if plane["frame"] == "space":
         offsets = offsets - _state(result, step, "position")
     body = offsets if plane["frame"] == "body" else offsets @ turn
-    level = np.sum((body / [k, k, 1.0]) ** 2, axis=-1)
+    level = shape.level(body)
     if level.min() < 1.0 < level.max():
         axes.contourf(fine_a, fine_b, level, levels=[-1.0, 1.0], colors=[style.PALE], zorder=3)
         axes.contour(

@@ -10,7 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import ResultFileError
+from qbxstokes.errors import ResultFileError, SceneError
+from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 
 Array = NDArray[np.float64]
 TURN_LIMIT = 1.0  # radians between samples, beyond which a picture need not resemble the motion
@@ -106,16 +107,17 @@ def resolved_case(result: ResultLike) -> Mapping[str, Any]:
     return case if isinstance(case, dict) else {}
 
 
-def aspect_ratio(result: ResultLike) -> float:
-    """Aspect ratio k of the body; raises ResultFileError where the file does not say.
+def shape_of(result: ResultLike) -> Any:
+    """The shape of the body; raises ResultFileError where the file does not say.
 
     Of a trajectory of a sweep it may be a swept value, which its provenance names.
     """
     body = resolved_case(result).get("body", {})
-    value = body.get("aspect_ratio") if isinstance(body, dict) else None
+    given = {name: body.get(name) for name in SHAPE_KEYS} if isinstance(body, dict) else {}
     swept = result.provenance.get("swept", {})
     if isinstance(swept, dict):
-        value = swept.get("aspect_ratio", value)
-    if not isinstance(value, (int, float)) or not 0.0 < value < np.inf:
-        raise ResultFileError(f"{result.path}: does not say the aspect ratio of the body")
-    return float(value)
+        given |= {name: value for name, value in swept.items() if name in SHAPE_KEYS}
+    try:
+        return build_shape(**given)
+    except (SceneError, TypeError):
+        raise ResultFileError(f"{result.path}: does not say the shape of the body") from None

@@ -19,7 +19,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import to_modes
 
 Array = NDArray[np.float64]
@@ -38,9 +39,17 @@ class Harmonics:
     Arrays are (orders, degree + 1) with row m, column n; see `exterior_kernel`.
     """
 
-    spheroid: Spheroid
+    shape: Revolution
     orders: int
     degree: int
+
+    @cached_property
+    def ratio_of_axes(self) -> float:
+        """k of semi-axes (k, k, 1). Raises ValueError for a shape without confocal coordinates."""
+        axes = self.shape.semi_axes
+        if axes is None or axes[2] != 1.0:
+            raise ValueError(f"there are no exterior harmonics of a {self.shape}")
+        return axes[0]
 
     @cached_property
     def rise(self) -> Array:
@@ -73,7 +82,7 @@ class Harmonics:
         """Q_n^(m) / Q_{n-1}^(m) on the surface (1 where n < m)."""
         from qbxstokes.qbx.exterior_kernel import all_ratios
 
-        k = self.spheroid.aspect_ratio
+        k = self.ratio_of_axes
         table = np.ones((self.orders, self.degree + 2))
         all_ratios(self.orders, self.degree, 1.0, k, (1.0 - k) * (1.0 + k), table)
         return table[:, : self.degree + 1]
@@ -85,7 +94,7 @@ class Harmonics:
         4 pi (-1)^m (n - m)!/(n + m)! k^(2m) P_n^(m)(1) Q_n^(m)(1), built from ratios so that
         nothing overflows.
         """
-        k = self.spheroid.aspect_ratio
+        k = self.ratio_of_axes
         e2 = (1.0 - k) * (1.0 + k)
         gain = np.zeros((self.orders, self.degree + 1))
         for m in range(min(self.orders, self.degree + 1)):
@@ -118,7 +127,7 @@ class Harmonics:
 
         Each of shape (orders, degree + 1, n_theta).
         """
-        k = self.spheroid.aspect_ratio
+        k = self.ratio_of_axes
         s, c = np.sin(theta), np.cos(theta)
         values = self.polar(theta)
         m, n = np.arange(self.orders)[:, None, None], np.arange(self.degree + 1)[:, None]
@@ -150,7 +159,7 @@ class ExteriorFlow:
     @cached_property
     def amplitude(self) -> Array:
         """Bound (degree + 1,) of what each degree adds to the velocity on the surface."""
-        k = self.harmonics.spheroid.aspect_ratio
+        k = self.harmonics.ratio_of_axes
         n = np.arange(self.harmonics.degree + 1)
         size = np.abs(self.coefficients).sum(axis=(0, 2))
         return np.asarray(size * np.sqrt(n + 0.5) * (n + 1.0) / min(k * k, 1.0))
@@ -162,7 +171,7 @@ class ExteriorFlow:
         if not len(kept):
             return self
         orders, degree = kept[:, 0].max() + 1, max(int(kept[:, 1].max()), 1)
-        harmonics = Harmonics(self.harmonics.spheroid, int(orders), degree)
+        harmonics = Harmonics(self.harmonics.shape, int(orders), degree)
         return ExteriorFlow(harmonics, self.coefficients[:orders, : degree + 1])
 
     def evaluate(
@@ -183,7 +192,7 @@ class ExteriorFlow:
         stress = np.empty((n if with_stress else 0, 6))
         evaluate(
             points,
-            h.spheroid.aspect_ratio,
+            h.ratio_of_axes,
             np.ascontiguousarray(self.coefficients.real),
             np.ascontiguousarray(self.coefficients.imag),
             1.0 / h.ratio,
@@ -215,7 +224,7 @@ class SurfaceToExterior:
     @cached_property
     def harmonics(self) -> Harmonics:
         """Harmonics of the exterior flow: those of the density and one order and degree more."""
-        return Harmonics(self.grid.spheroid, self._n_modes + 1, self.degree + 1)
+        return Harmonics(self.grid.shape, self._n_modes + 1, self.degree + 1)
 
     @property
     def _n_modes(self) -> int:
@@ -265,14 +274,14 @@ class SurfaceToExterior:
         The density has the parts mu_x + i mu_y, mu_x - i mu_y and mu_z of orders m + 1, m - 1 and
         m; the velocity is (u_rho, u_phi / i, u_z) with weights that make the fit one in L2.
         """
-        h, k = self.harmonics, self.grid.spheroid.aspect_ratio
+        h = self.harmonics
         values, d_rho, d_z = self._surface
         fine, weights, on_fine = self._fine
         theta = self.grid.theta
-        rho, z = k * np.sin(theta), np.cos(theta)
+        rho, z = self.grid.shape.meridian(theta)
         columns, moments = [], []
         for part, order in enumerate((m + 1, abs(m - 1), m)):
-            factor = np.cos(fine) if part == 2 else 0.5 * k * np.sin(fine)
+            factor = np.cos(fine) if part == 2 else 0.5 * self.grid.shape.meridian(fine)[0]
             for n in range(order, self.degree + 1):
                 g = h.gain[order, n]
                 e, e_rho, e_z = g * values[order, n], g * d_rho[order, n], g * d_z[order, n]

@@ -16,7 +16,7 @@ from qbxstokes.qbx.exterior_kernel import all_ratios, confocal
 
 @njit(cache=True)
 def tabulate(  # type: ignore[no-untyped-def]
-    points, aspect_ratio, degree, orders, inverse_ratio, rise, fall, diagonal, second, table
+    points, k, degree, orders, inverse_ratio, rise, fall, diagonal, second, table
 ):
     """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
 
@@ -24,7 +24,6 @@ def tabulate(  # type: ignore[no-untyped-def]
     and minus the imaginary part of E_nm for m < orders, m <= n <= degree, n fastest, so that
     Re(sum c E) is the product with the real and imaginary parts of c, interleaved.
     """
-    k = aspect_ratio
     e2 = (1.0 - k) * (1.0 + k)
     ratios = np.zeros((orders, degree + 2))
     for i in range(points.shape[0]):

@@ -92,7 +92,7 @@ def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untype
 @njit(cache=True)
 def evaluate(  # type: ignore[no-untyped-def]
     points,
-    aspect_ratio,
+    k,
     real,
     imag,
     inverse_ratio,
@@ -109,6 +109,7 @@ def evaluate(  # type: ignore[no-untyped-def]
 ):
     """Velocity, pressure and stress of u = B + grad(C - x . B), x held fixed, at points (N, 3).
 
+    k: equatorial semi-axis, in units of the polar one.
     real, imag (orders, degree + 1, 4): coefficients of B_x, B_y, B_z, C on the harmonics E_nm, of
     which the real part is taken. inverse_ratio: 1 / ratio on the surface. rise, fall, diagonal:
     recurrence of p_n^m. amplitude (degree + 1): size of the terms of each degree on the surface;
@@ -118,7 +119,6 @@ def evaluate(  # type: ignore[no-untyped-def]
     Points inside the surface by more than margin (in the sum of squares that is 1 on it) get NaN.
     Returns the sum over points of the degree used: a measure of the work.
     """
-    k = aspect_ratio
     e2 = (1.0 - k) * (1.0 + k)
     orders = real.shape[0]
     top = real.shape[1] - 1

@@ -21,23 +21,21 @@ def from_coefficients(
     centre: Centre, theta: Array, phi: Array, with_single: bool
 ) -> tuple[Array, Array | None]:
     """Kernels at the sources, as `kernel.Kernels` has them."""
-    k = centre.aspect_ratio
-    st, ct = math.sin(centre.theta), math.cos(centre.theta)
-    q = math.hypot(st, k * ct)
-    target = np.array([k * st, 0.0, ct])
-    place = target + centre.side * centre.radius * np.array([st / q, 0.0, k * ct / q])
+    rho_t, tx, tz = centre.target
+    target = np.array([rho_t, 0.0, float(centre.shape.meridian(np.asarray(centre.theta))[1])])
+    place = target + centre.side * centre.radius * np.array([tx, 0.0, tz])
     shape = (3, 3, *np.broadcast_shapes(theta.shape, phi.shape))
     theta, phi = (each.ravel() for each in np.broadcast_arrays(theta, phi))
-    s, c, cp, sp = np.sin(theta), np.cos(theta), np.cos(phi), np.sin(phi)
+    (rho, z), cp, sp = centre.shape.meridian(theta), np.cos(phi), np.sin(phi)
     zero, one = np.zeros_like(phi), np.ones_like(phi)
-    sources = np.stack([k * s * cp, k * s * sp, c], axis=-1)
-    # n dS = k sin(theta) (sin(theta) e_rho + k cos(theta) e_z) dtheta dphi
-    normals = (k * s)[:, None] * np.stack([s * cp, s * sp, k * c], axis=-1)
+    sources = np.stack([rho * cp, rho * sp, z], axis=-1)
+    nr, nz = centre.shape.area_vector(theta)
+    normals = np.stack([nr * cp, nr * sp, nz], axis=-1)
     # Components (Cartesian, cylindrical, n) of the source's directions.
     directions = np.array([[cp, -sp, zero], [sp, cp, zero], [zero, zero, one]])
     double, single = (
         np.einsum("nij,jbn->ibn", kernel, directions)
         for kernel in expanded_kernels(target, sources, normals, place, centre.radius, centre.order)
     )
-    scaled = single * (s / (8.0 * math.pi))
+    scaled = single * (np.sin(theta) / (8.0 * math.pi))
     return double.reshape(shape), scaled.reshape(shape) if with_single else None

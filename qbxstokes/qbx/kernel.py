@@ -26,6 +26,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.panels import Integers, Rule
 
 Array = NDArray[np.float64]
@@ -36,13 +37,21 @@ _CHUNK = 4096
 
 @dataclass(frozen=True)
 class Centre:
-    """An expansion on the spheroid's meridian phi = 0: target, side (+1 outer), radius, order."""
+    """An expansion on the meridian phi = 0: target, side (+1 outer), radius, order."""
 
-    aspect_ratio: float
+    shape: Revolution
     theta: float
     side: int
     radius: float
     order: int
+
+    @property
+    def target(self) -> tuple[float, float, float]:
+        """Distance of the target from the axis, and the normal there, along rho and z."""
+        at = np.asarray(self.theta)
+        d_rho, d_z = self.shape.tangent(at)
+        speed = math.hypot(d_z, d_rho)
+        return float(self.shape.meridian(at)[0]), float(-d_z) / speed, float(d_rho) / speed
 
 
 class Kernels(Protocol):
@@ -91,19 +100,15 @@ def target_specific(
     centre: Centre, theta: Array, phi: Array, with_single: bool
 ) -> tuple[Array, Array | None]:
     """Kernels of an expansion in the form for its own target, `Kernels`."""
-    k, radius = centre.aspect_ratio, centre.radius
-    st, ct = math.sin(centre.theta), math.cos(centre.theta)
-    qt = math.hypot(st, k * ct)
+    shape, radius = centre.shape, centre.radius
+    rho_t, tx, tz = centre.target
     # Direction from the centre to the target.
-    hx, hz = -centre.side * st / qt, -centre.side * k * ct / qt
-    s, c = np.sin(theta), np.cos(theta)
+    hx, hz = -centre.side * tx, -centre.side * tz
     cp, sp = np.cos(phi), np.sin(phi)
-    # Differences source - target in product form: exact to rounding however close they are.
-    half = np.sin(0.5 * (theta - centre.theta))
-    middle = 0.5 * (theta + centre.theta)
-    dx = (2.0 * k * np.cos(middle) * half) * cp - (2.0 * k * st) * np.sin(0.5 * phi) ** 2
-    dy = (k * s) * sp
-    dz = -2.0 * np.sin(middle) * half
+    # Differences source - target: exact to rounding however close they are.
+    d_rho, dz = shape.difference(theta, centre.theta)
+    dx = d_rho * cp - (2.0 * rho_t) * np.sin(0.5 * phi) ** 2
+    dy = shape.meridian(theta)[0] * sp
     # The source from the centre, which lies at -radius h from the target.
     ux, uz = dx + radius * hx, dz + radius * hz
     v = 1.0 / np.sqrt(ux * ux + dy * dy + uz * uz)
@@ -116,8 +121,8 @@ def target_specific(
     cc = rho * (a2 - last2)
     v2 = v * v
     f = v2 * v * inverse
-    # n dS = k sin(theta) (sin(theta) e_rho + k cos(theta) e_z) dtheta dphi
-    nr, nz = k * s * s, k * k * s * c
+    # n dS / (dtheta dphi)
+    nr, nz = shape.area_vector(theta)
     nx, ny = nr * cp, nr * sp
     hn = hx * nx + hz * nz
     un = ux * nx + uy * ny + uz * nz
@@ -155,7 +160,7 @@ def target_specific(
     double[2, 2] = hn_z * rz + qz * hz + wz * uz + diagonal - nz * gz
     if not with_single:
         return double, None
-    scale = s / (8.0 * math.pi)
+    scale = np.sin(theta) / (8.0 * math.pi)
     sv = scale * series * v
     e1 = scale * v2 * a1 * inverse
     e2 = scale * v2 * (last1 - a1)

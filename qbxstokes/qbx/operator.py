@@ -1,4 +1,4 @@
-"""Discrete layer potentials on the spheroid: one target per theta row, a block per mode.
+"""Discrete layer potentials on a body of revolution: a target per theta row, a block per mode.
 
 Rotational symmetry leaves one target per row of the grid, mirror symmetry in z half of the rows,
 and each row is independent of the others, so rows can be formed by different processes.
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
-from qbxstokes.geometry.spheroid import Spheroid, SurfaceGrid, gauss_legendre
+from qbxstokes.geometry.grid import SurfaceGrid, gauss_legendre
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.harmonics import from_coefficients
 from qbxstokes.qbx.kernel import Centre, Kernels, layer_row, target_specific
 from qbxstokes.qbx.panels import Rule, graded_rule, uniform_rule
@@ -27,7 +28,7 @@ Side = Literal["average", "inner", "outer"]
 class GradedScheme:
     """Target-specific QBX with source panels graded to each centre.
 
-    expansion_order: p. radius_factor: expansion radius over `Spheroid.admissible_radius`.
+    expansion_order: p. radius_factor: expansion radius over `Revolution.admissible_radius`.
     panel_order: Gauss-Legendre nodes per panel and direction. panel_ratio: largest panel length
     over its distance to the centre. side: average of inner and outer expansions, or one of them
     plus the jump; one side costs half as much and is as accurate. keep_rigid: impose the identity
@@ -49,22 +50,22 @@ class GradedScheme:
         _require(self.panel_order >= 2, "panel_order", self.panel_order, ">= 2")
         _require(self.panel_ratio > 0.0, "panel_ratio", self.panel_ratio, "positive")
 
-    def grid(self, spheroid: Spheroid, n_phi: int) -> SurfaceGrid:
+    def grid(self, shape: Revolution, n_phi: int) -> SurfaceGrid:
         """The surface grid that carries the density."""
-        return SurfaceGrid(spheroid, self.n_theta, n_phi)
+        return SurfaceGrid(shape, self.n_theta, n_phi)
 
-    def radius(self, spheroid: Spheroid, theta: float) -> float:
+    def radius(self, shape: Revolution, theta: float) -> float:
         """Expansion radius at theta, in c."""
-        return self.radius_factor * float(spheroid.admissible_radius(theta))
+        return self.radius_factor * shape.admissible_radius(theta).item()
 
-    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> Rule:
+    def rule(self, shape: Revolution, theta: float, side: int, n_modes: int) -> Rule:
         """Source rule of the centre on the given side of the target at theta."""
         x, w = gauss_legendre(self.panel_order)
         return graded_rule(
-            float(spheroid.aspect_ratio),
+            shape,
             theta,
             side,
-            self.radius(spheroid, theta),
+            self.radius(shape, theta),
             self.panel_ratio,
             # A panel must resolve the interpolated density and the azimuthal modes as well.
             np.pi * self.panel_order / (self.n_theta + 8),
@@ -99,28 +100,23 @@ class UniformScheme:
         _require(self.n_phi >= 3, "n_phi", self.n_phi, ">= 3")
         _require(self.upsampling >= 1, "upsampling", self.upsampling, ">= 1")
 
-    def grid(self, spheroid: Spheroid, n_phi: int) -> SurfaceGrid:
+    def grid(self, shape: Revolution, n_phi: int) -> SurfaceGrid:
         """The surface grid that carries the density: Gauss-Legendre in theta."""
-        return SurfaceGrid(spheroid, self.n_theta, n_phi, "theta")
+        return SurfaceGrid(shape, self.n_theta, n_phi, "theta")
 
-    def radius(self, spheroid: Spheroid, theta: float) -> float:
-        """The global expansion radius; CaseError if its ball crosses the surface anywhere.
-
-        The restriction r <= k^2 (prolate) or r <= 1/k (oblate) is Bagge 2015, sec. 5.3.3.
-        """
+    def radius(self, shape: Revolution, theta: float) -> float:
+        """The global expansion radius; CaseError if its ball crosses the surface anywhere."""
         radius = 2.0 * np.pi * self.r_over_h / self.n_theta
-        k = spheroid.aspect_ratio
-        limit = k * k if k <= 1.0 else 1.0 / k
+        limit = shape.least_radius
         if radius > limit:
-            formula = "k^2 n_theta / (2 pi)" if k <= 1.0 else "n_theta / (2 pi k)"
             raise CaseError(
-                f"r_over_h is {self.r_over_h:g}: the expansion ball would cross the surface of a "
-                f"spheroid with aspect_ratio {k:g}; use r_over_h <= {formula} = "
+                f"r_over_h is {self.r_over_h:g}: the expansion ball would cross the surface of the "
+                f"{shape}; use r_over_h <= {limit:.4g} n_theta / (2 pi) = "
                 f"{limit * self.n_theta / (2.0 * np.pi):.6g}"
             )
         return radius
 
-    def rule(self, spheroid: Spheroid, theta: float, side: int, n_modes: int) -> Rule:
+    def rule(self, shape: Revolution, theta: float, side: int, n_modes: int) -> Rule:
         """Source rule, the same for every centre: the upsampled grid."""
         return uniform_rule(self.upsampling * self.n_theta, self.upsampling * self.n_phi)
 
@@ -133,13 +129,13 @@ def _require(condition: bool, name: str, value: object, wanted: str) -> None:
         raise CaseError(f"{name} is {value}; it must be {wanted}")
 
 
-def independent_rows(n_theta: int) -> range:
-    """Rows to form; the others follow by the mirror symmetry in z."""
-    return range((n_theta + 1) // 2)
+def independent_rows(shape: Revolution, n_theta: int) -> range:
+    """Rows to form; of a body with fore-aft symmetry the others follow by the mirror in z."""
+    return range((n_theta + 1) // 2 if shape.fore_aft else n_theta)
 
 
 def layer_rows(
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     n_modes: int,
     rows: Sequence[int],
@@ -155,22 +151,22 @@ def layer_rows(
     kernels: Kernels = target_specific
     if isinstance(scheme, UniformScheme) and scheme.coefficients:
         kernels = from_coefficients
-    grid = scheme.grid(spheroid, 1)
+    grid = scheme.grid(shape, 1)
     sides = {"average": (1, -1), "inner": (-1,), "outer": (1,)}[scheme.side]
-    shape = (len(rows), n_modes, 3, 3, scheme.n_theta)
-    double = np.zeros(shape)
-    single = np.zeros(shape if with_single else (len(rows), 0, 3, 3, scheme.n_theta))
+    size = (len(rows), n_modes, 3, 3, scheme.n_theta)
+    double = np.zeros(size)
+    single = np.zeros(size if with_single else (len(rows), 0, 3, 3, scheme.n_theta))
     for index, row in enumerate(rows):
         theta = float(grid.theta[row])
         for side in sides:
             centre = Centre(
-                float(spheroid.aspect_ratio),
+                shape,
                 theta,
                 side,
-                scheme.radius(spheroid, theta),
+                scheme.radius(shape, theta),
                 scheme.expansion_order,
             )
-            rule = scheme.rule(spheroid, theta, side, n_modes)
+            rule = scheme.rule(shape, theta, side, n_modes)
             pair = layer_row(
                 centre,
                 rule,
@@ -204,7 +200,7 @@ def rigid_defects(grid: SurfaceGrid, rows: Sequence[int], double: Array) -> Arra
     height, the rotations with unit speed at the target's distance from the axis. Needs two modes
     for the last two, which are zero otherwise.
     """
-    rho, z = grid.spheroid.aspect_ratio * np.sin(grid.theta), np.cos(grid.theta)
+    rho, z = grid.shape.meridian(grid.theta)
     defects = np.zeros((len(rows), 4, 3))
     for index, row in enumerate(rows):
         turn = rho / rho[row]
@@ -242,7 +238,8 @@ def impose_rigid_motions(grid: SurfaceGrid, rows: Sequence[int], double: Array) 
 def blocks_from_rows(rows: Array) -> Array:
     """Blocks (n_modes, 3 n_theta, 3 n_theta) from the independent rows, completed by symmetry.
 
-    Under z -> -z the z component changes sign and theta runs backwards.
+    Under z -> -z the z component changes sign and theta runs backwards; rows that are there already
+    stay.
     """
     n_rows, n_modes, _, _, n_theta = rows.shape
     blocks = np.empty((n_modes, 3, n_theta, 3, n_theta))
@@ -250,6 +247,6 @@ def blocks_from_rows(rows: Array) -> Array:
     mirrored = rows[..., ::-1] * (sign[:, None] * sign)[:, :, None]
     for i in range(n_rows):
         blocks[:, :, i] = rows[i]
-        if n_theta - 1 - i != i:
+        if n_theta - 1 - i >= n_rows:
             blocks[:, :, n_theta - 1 - i] = mirrored[i]
     return blocks.reshape(n_modes, 3 * n_theta, 3 * n_theta)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.geometry.shape import Revolution
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Rule = tuple[Array, Array, Integers, Integers, Array, Array]
@@ -19,19 +21,20 @@ MAX_DEPTH = 100
 _SAMPLES = np.arange(9) / 8.0
 
 
-def _look(k: float, a: Array, b: Array, phi: Array, cx: float, cz: float) -> tuple[Array, ...]:
+def _look(
+    shape: Revolution, a: Array, b: Array, phi: Array, cx: float, cz: float
+) -> tuple[Array, ...]:
     """Of panels [a, b] of a meridian: length (bound), least distance at phi, largest radius."""
     theta = a[:, None] + (b - a)[:, None] * _SAMPLES
-    s, c = np.sin(theta), np.cos(theta)
-    longest = np.sqrt(np.max(s * s + (k * c) ** 2, axis=1))
-    rho = k * s
-    square = (rho * np.cos(phi)[:, None] - cx) ** 2 + (c - cz) ** 2
+    (rho, z), (d_rho, d_z) = shape.meridian(theta), shape.tangent(theta)
+    longest = np.sqrt(np.max(d_z * d_z + d_rho**2, axis=1))
+    square = (rho * np.cos(phi)[:, None] - cx) ** 2 + (z - cz) ** 2
     square += (rho * np.sin(phi)[:, None]) ** 2
     return (b - a) * longest, np.sqrt(np.min(square, axis=1)), np.max(rho, axis=1)
 
 
 def graded_rule(
-    aspect_ratio: float,
+    shape: Revolution,
     theta_target: float,
     side: int,
     radius: float,
@@ -48,15 +51,15 @@ def graded_rule(
     resolved. A panel is a rectangle of angles and is halved along its longer side; each brings its
     own theta nodes, so that equal ones may occur more than once.
     """
-    k = float(aspect_ratio)
-    s, c = np.sin(theta_target), np.cos(theta_target)
-    q = np.hypot(s, k * c)
-    cx, cz = k * s + side * radius * s / q, c + side * radius * k * c / q
+    at = np.asarray(theta_target)
+    (rho, z), (d_rho, d_z), speed = shape.meridian(at), shape.tangent(at), shape.speed(at)
+    cx = float(rho - side * radius * d_z / speed)
+    cz = float(z + side * radius * d_rho / speed)
     panels = np.array([[0.0, np.pi, 0.0, np.pi]])
     finished = []
     for depth in range(MAX_DEPTH + 1):
         a, b, low, high = panels.T
-        length, nearest, widest = _look(k, a, b, low, cx, cz)
+        length, nearest, widest = _look(shape, a, b, low, cx, cz)
         arc = (high - low) * widest
         # The longer side first: thin bodies need no cut around their waist.
         tall = (length > ratio * nearest) & (length >= arc) | (b - a > max_theta)

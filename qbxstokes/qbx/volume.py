@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.geometry.spheroid import SurfaceGrid
+from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.qbx.exterior import SURFACE_MARGIN
 from qbxstokes.qbx.modes import to_modes
 
@@ -60,15 +60,16 @@ class LayerPotentials:
         tolerance: relative to the size of the density.
         """
         points = np.atleast_2d(np.asarray(points, dtype=float))
-        k, modes = self.grid.spheroid.aspect_ratio, self._modes
+        shape, modes = self.grid.shape, self._modes
         out = np.full((len(points), 10), np.nan)
         used = np.full(len(points), -1, dtype=np.int64)
-        for i, point in enumerate(points):
-            r, z = math.hypot(point[0], point[1]), float(point[2])
-            if not r * r / (k * k) + z * z >= 1.0 - SURFACE_MARGIN:
-                continue
-            theta, distance = nearest(k, r, z)
-            radius = self.radius_factor * float(self.grid.spheroid.admissible_radius(theta))
+        rho, heights = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+        feet, distances = shape.nearest(rho, heights)
+        outside = shape.level(points) >= 1.0 - SURFACE_MARGIN
+        for i in np.flatnonzero(outside).tolist():
+            r, z, point = float(rho[i]), float(heights[i]), points[i]
+            theta, distance = float(feet[i]), max(0.0, float(distances[i]))
+            radius = self.radius_factor * shape.admissible_radius(theta).item()
             chosen = method or self._choose(r, z, distance, radius, tolerance, len(modes))
             used[i] = METHODS.index(chosen)
             rule, order = self._rule(chosen, r, z, theta, distance, radius, tolerance, len(modes))
@@ -78,11 +79,11 @@ class LayerPotentials:
     def by_rule(self, points: Array, rule: tuple[NDArray[Any], ...]) -> Array:
         """Velocity (N, 3) at points outside by the plain kernel on one source rule for all."""
         out = np.empty((len(points), 10))
-        for i, point in enumerate(points):
-            foot = nearest(
-                self.grid.spheroid.aspect_ratio, math.hypot(point[0], point[1]), float(point[2])
-            )
-            out[i] = self._sum(point, foot, 0.0, -1, rule)
+        feet, distances = self.grid.shape.nearest(
+            np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+        )
+        for i, foot in enumerate(zip(feet.tolist(), distances.tolist(), strict=True)):
+            out[i] = self._sum(points[i], foot, 0.0, -1, rule)
         return out[:, :3]
 
     @cached_property
@@ -106,8 +107,8 @@ class LayerPotentials:
         from qbxstokes.qbx.volume_kernel import potentials
 
         grid, (theta, distance) = self.grid, foot
-        k = grid.spheroid.aspect_ratio
-        rho, phi = math.hypot(point[0], point[1]), math.atan2(point[1], point[0])
+        shape = grid.shape
+        phi = math.atan2(point[1], point[0])
         c, s = math.cos(phi), math.sin(phi)
         turn = np.exp(1j * np.arange(len(self._modes)) * phi)
         a = self.weight
@@ -117,15 +118,19 @@ class LayerPotentials:
                 *(c * a[3] + s * a[4], c * a[4] - s * a[3], a[5]),
             ]
         )
+        at = np.asarray(theta)
+        (d_rho, d_z), speed = shape.tangent(at), shape.speed(at)
+        nodes, *rest = rule
+        sources = *shape.meridian(nodes), *shape.area_vector(nodes), *shape.difference(nodes, theta)
         result = np.zeros(10)
         potentials(
-            k,
-            np.array([rho, point[2]]),
-            np.array([k * math.sin(theta), math.cos(theta)]),
+            np.array([float(shape.meridian(at)[0]), -d_z / speed, d_rho / speed]),
             distance,
             radius,
             order,
-            *rule,
+            nodes,
+            np.ascontiguousarray(np.stack(sources, axis=-1)),
+            *rest,
             grid.theta,
             grid.barycentric,
             grid.nodes == "cosine",
@@ -140,15 +145,12 @@ class LayerPotentials:
 
         Degrees above 2n - n_theta are aliased; derivatives of the kernel add a few powers.
         """
-        from qbxstokes.qbx.exterior_kernel import confocal
-
-        k = self.grid.spheroid.aspect_ratio
-        alpha2, gamma, _ = confocal(rho * rho, z, (1.0 - k) * (1.0 + k))
-        rate = math.log((math.sqrt(alpha2) + gamma) / (1.0 + k))
+        rate = -math.log(float(self.grid.shape.decay([rho, 0.0, z])))
         if rate < 1e-3:
             return 10**6, 10**6
         # t^l l^3 = tolerance, with the margin that thin bodies were measured to need.
-        digits = _PLAIN_MARGIN + 4.0 * abs(math.log(k)) - math.log(tolerance)
+        thin = -2.0 * math.log(self.grid.shape.least_radius / self.grid.shape.radius)
+        digits = _PLAIN_MARGIN + thin - math.log(tolerance)
         degree = digits / rate
         for _ in range(4):
             degree = (digits + 3.0 * math.log(max(degree, 1.0))) / rate
@@ -182,7 +184,7 @@ class LayerPotentials:
         x, w = np.polynomial.legendre.leggauss(self.panel_order)
         away = radius if method == "expansion" else distance
         rule: tuple[NDArray[Any], ...] = graded_rule(
-            self.grid.spheroid.aspect_ratio,
+            self.grid.shape,
             theta,
             1,
             away,
@@ -207,26 +209,6 @@ def plain_rule(n_theta: int, n_phi: int) -> tuple[NDArray[Any], ...]:
     start = np.zeros(n_theta, np.int64)
     stop = np.full(n_theta, j.size, np.int64)
     return np.arctan2(s, -x), w / s, start, stop, 2.0 * np.pi * j / n_phi, weights
-
-
-def nearest(aspect_ratio: float, rho: float, z: float) -> tuple[float, float]:
-    """Polar parameter of the surface point nearest to (rho, z) outside, and its distance.
-
-    The foot of the normal solves (k rho / (t + k^2))^2 + (z / (t + 1))^2 = 1 for the largest
-    root t >= 0 (Eberly 2013), found by bisection until doubles run out.
-    """
-    k2 = aspect_ratio * aspect_ratio
-    low, high = 0.0, max(aspect_ratio, 1.0) * math.hypot(rho, z) + 1.0
-    for _ in range(200):
-        t = 0.5 * (low + high)
-        if not low < t < high:
-            break
-        value = (aspect_ratio * rho / (t + k2)) ** 2 + (z / (t + 1.0)) ** 2
-        low, high = (t, high) if value > 1.0 else (low, t)
-    t = 0.5 * (low + high)
-    # x = y + t grad(level) / 2 at the foot y: |x - y| = t |(rho / (t + k2), z / (t + 1))|.
-    theta = math.atan2(aspect_ratio * rho / (t + k2), z / (t + 1.0))
-    return theta, t * math.hypot(rho / (t + k2), z / (t + 1.0))
 
 
 def _turn(result: Array, c: float, s: float) -> Array:

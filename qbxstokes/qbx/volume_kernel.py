@@ -88,13 +88,12 @@ def polar_interpolation(theta, grid_theta, barycentric, cosine, even, odd):  # t
 
 @njit(cache=True)
 def potentials(  # type: ignore[no-untyped-def]
-    aspect_ratio,
-    target,
     foot,
     offset,
     radius,
     order,
     theta_nodes,
+    sources,
     theta_weights,
     phi_start,
     phi_stop,
@@ -109,37 +108,33 @@ def potentials(  # type: ignore[no-untyped-def]
 ):
     """Layer potentials at one target in the half plane phi = 0: result (10,) += u, p, stress.
 
-    target: (rho, z). Source rule as in `panels`: azimuthal nodes on [0, pi] whose weights count
+    foot: of the target, distance from the axis and normal along rho and z. sources (n, 6): at the
+    theta nodes rho, z, the normal times dS / (dtheta dphi) along rho and z, and rho and z less
+    those of the foot. Source rule as in `panels`: azimuthal nodes on [0, pi] whose weights count
     both halves; the density is not symmetric and is summed over both.
     double_modes (n_modes, 3, n_theta, complex): modes of psi as (rho, phi / i, z), turned so that
     the target is at phi = 0; the real part of their sum is meant.
     force (6,): the single layer's density is (force[:3] + force[3:] x y) sin(theta) dtheta dphi,
     with the factor 1/(8 pi).
     order < 0: the plain kernel. Otherwise an expansion about the centre at the distance radius
-    outside the foot (rho, z) of the target, which lies offset above it: 0 <= offset <= radius.
+    outside the foot of the target, which lies offset above it: 0 <= offset <= radius.
     stress: xx, yy, zz, xy, xz, yz with x along the target's rho.
     """
-    k = aspect_ratio
     n_modes = double_modes.shape[0]
     n_theta = grid_theta.size
     even = np.empty(n_theta)
     odd = np.empty(n_theta)
     sums = np.empty(10)
     amplitude = np.empty((n_modes, 3), np.complex128)
-    # Outward normal at the foot.
-    q = math.hypot(foot[0] / k, k * foot[1])
-    normal_x = foot[0] / k / q
-    normal_z = k * foot[1] / q
+    rho_foot, normal_x, normal_z = foot
     # Target relative to the centre.
     hx = (offset - radius) * normal_x
     hz = (offset - radius) * normal_z
-    theta_foot = math.atan2(foot[0] / k, foot[1])
-    st = math.sin(theta_foot)
     cutoff = 10.0 ** (-2.0 * _DIGITS / max(order - 2, 1))
     for i in range(theta_nodes.size):
         theta = theta_nodes[i]
         s = math.sin(theta)
-        c = math.cos(theta)
+        rho, z, nr, nz, ds, dz = sources[i]
         polar_interpolation(theta, grid_theta, barycentric, cosine, even, odd)
         for m in range(n_modes):
             # The same rule as in `kernel.target_row`: z as sin^m, rho -+ phi / i as sin^(m -+ 1).
@@ -157,12 +152,6 @@ def potentials(  # type: ignore[no-untyped-def]
             amplitude[m, 0] = ar
             amplitude[m, 1] = 1j * ap
             amplitude[m, 2] = az
-        half = math.sin(0.5 * (theta - theta_foot))
-        middle = 0.5 * (theta + theta_foot)
-        ds = 2.0 * math.cos(middle) * half
-        dz = -2.0 * math.sin(middle) * half
-        nr = k * s * s
-        nz = k * k * s * c
         for j in range(phi_start[i], phi_stop[i]):
             for sign in (1.0, -1.0):
                 phi = sign * phi_nodes[j]
@@ -187,14 +176,14 @@ def potentials(  # type: ignore[no-untyped-def]
                 nx = nr * cp
                 ny = nr * sp
                 # Single layer density.
-                yx = k * s * cp
-                yy = k * s * sp
+                yx = rho * cp
+                yy = rho * sp
                 mw = w * s / (8.0 * math.pi)
-                mx = mw * (force[0] + force[4] * c - force[5] * yy)
-                my = mw * (force[1] + force[5] * yx - force[3] * c)
+                mx = mw * (force[0] + force[4] * z - force[5] * yy)
+                my = mw * (force[1] + force[5] * yx - force[3] * z)
                 mz = mw * (force[2] + force[3] * yy - force[4] * yx)
                 # r = target - source, through the foot: exact however close they are.
-                dx = k * (ds * cp - st * 2.0 * sh * sh)
+                dx = ds * cp - rho_foot * 2.0 * sh * sh
                 rx = offset * normal_x - dx
                 ry = -yy
                 rz = offset * normal_z - dz

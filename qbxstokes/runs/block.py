@@ -23,7 +23,7 @@ from qbxstokes.quantities import COLUMNS, RECORDABLE
 from qbxstokes.runs.gathering import Gathering, Item
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.from_case import Starts, start_quaternion
+from qbxstokes.simulation.from_case import Starts, orbit_ratio, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
@@ -100,7 +100,7 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     case = loaded.case
     swept = {k[2:]: v for k, v in values.items() if k[:2] == ("start", "orientation")}
     if not swept:
-        return np.tile(start_quaternion(case.start, case.body.aspect_ratio), (n, 1))
+        return np.tile(start_quaternion(case.start, case.body.outline), (n, 1))
     if () in swept:  # random axes or rotations
         random = swept[()]
         return rotation.from_axis(random) if random.shape[1] == 3 else random
@@ -113,7 +113,7 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     parts = [np.broadcast_to(swept.get((form, name), getattr(base, name)), (n,)) for name in names]
     if form == "euler":
         return rotation.from_euler(*parts)
-    return rotation.from_axis(orbit_axis(case.body.aspect_ratio, *parts))
+    return rotation.from_axis(orbit_axis(orbit_ratio(case.body.outline), *parts))
 
 
 class Keeper:
@@ -174,11 +174,11 @@ def _sound(scene: Simulation, first: int, result: BlockResult) -> Indices:
     """Those that may start: not in a singularity of the flow, nor beyond its edge."""
     everyone = np.arange(len(scene))
     flow = scene.flow
-    k, axes = scene.body.aspect_ratio, rotation.axis(scene.quaternion)
-    failed = outside(flow.domain, scene.position, axes, k)
+    shape, axes = scene.body.shape, rotation.axis(scene.quaternion)
+    failed = outside(flow.domain, scene.position, axes, shape)
     for i in everyone.tolist() if len(flow.singular_points) else ():
         try:
-            check_singularities(flow, scene.position[i], axes[i], k)
+            check_singularities(flow, scene.position[i], axes[i], shape)
         except FlowError as error:
             failed[i] = str(error)
     result.failed |= {first + i: reason for i, reason in failed.items()}

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
+from qbxstokes.simulation.exact import exact_model
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.simulation import Simulation
 
@@ -156,7 +156,7 @@ def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
     near = flow.polynomial or PolynomialFlow(
         flow.velocity(place), flow.gradient(place), origin=place
     )
-    return Hydrodynamic(exact_model(scene.body.aspect_ratio), near)
+    return Hydrodynamic(exact_model(scene.body.shape) or scene.body.model, near)
 
 
 def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:

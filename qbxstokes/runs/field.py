@@ -124,8 +124,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         )
         if section.tracers is not None:
             with clock.part("tracers"):
-                k = disturbance.grid.spheroid.aspect_ratio
-                paths = steady_tracers(around, section, instant, k)
+                paths = steady_tracers(around, section, instant)
             store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
         errors = facts.pop("errors")
         summary: dict[str, Any] = {
@@ -154,7 +153,7 @@ def _scales(disturbance: Disturbance) -> dict[str, float]:
     points = disturbance.grid.points
     speed = float(np.linalg.norm(disturbance.background(points), axis=-1).max())
     speed = max(speed, disturbance.scale)
-    length = max(disturbance.grid.spheroid.aspect_ratio, 1.0)
+    length = disturbance.grid.shape.radius
     return {
         "velocity": speed,
         "angular_velocity": speed / length,

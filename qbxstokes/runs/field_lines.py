@@ -39,11 +39,9 @@ def streamlines(around: FlowAround, section: FieldSection, instant: Instant) -> 
     )
 
 
-def steady_tracers(
-    around: FlowAround, section: FieldSection, instant: Instant, aspect_ratio: float
-) -> dict[str, Array]:
+def steady_tracers(around: FlowAround, section: FieldSection, instant: Instant) -> dict[str, Array]:
     """Paths about a body that stays in its state, in space as seen from its centre."""
-    from qbxstokes.bie.lines import integrate_lines
+    from qbxstokes.bie.lines import integrate_lines, outer_axes
 
     asked = section.tracers
     assert asked is not None
@@ -52,7 +50,7 @@ def steady_tracers(
     paths = integrate_lines(
         lambda _, x: around.relative_velocity(x),
         around.to_body(_starts(asked, instant)),
-        aspect_ratio,
+        outer_axes(around.disturbance.grid.shape),
         times,
         asked.tolerance,
         unit_speed=False,
@@ -75,16 +73,23 @@ def moving_tracers(
     """
     from scipy.integrate import solve_ivp
 
-    from qbxstokes.bie.lines import N_STATE, MovingFlow, carried_rate, to_points, to_state
+    from qbxstokes.bie.lines import (
+        N_STATE,
+        MovingFlow,
+        carried_rate,
+        outer_axes,
+        to_points,
+        to_state,
+    )
 
-    asked, k = section.tracers, solution.spheroid.aspect_ratio
+    asked, axes = section.tracers, outer_axes(solution.shape)
     assert asked is not None
     flow = MovingFlow(solution.operators.grid, solution.flow, solution.flow.degree)
     body = np.asarray(initial, float).reshape(-1)
     n_body = body.size
     position, turn = body[:3], rotation.matrix(rotation.normalize(body[3:7]))
     starts = _starts(asked, Instant(0.0, position, rotation.normalize(body[3:7])))
-    states = to_state((starts - position) @ turn, k)
+    states = to_state((starts - position) @ turn, axes)
     good = ~np.isnan(states[:, 0])
     times = np.linspace(0.0, asked.duration or end, asked.samples)
 
@@ -99,7 +104,7 @@ def moving_tracers(
             return flow.relative_velocity(t, state[:3], around, velocity[0], spin[0], x)
 
         carried = flat[n_body:].reshape(-1, N_STATE)
-        moved = carried_rate(carried, relative, k, unit_speed=False)
+        moved = carried_rate(carried, relative, axes, unit_speed=False)
         return np.concatenate([out[:, 0], moved.ravel()])
 
     # The body moves as accurately as in the motion itself, so that a tracer near its surface is
@@ -122,7 +127,7 @@ def moving_tracers(
     points = np.full((len(times), len(states), 3), np.nan)
     carried = np.moveaxis(found.y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
     quaternions = rotation.normalize(found.y[3:7].T)
-    relative = np.einsum("tij,tnj->tni", rotation.matrix(quaternions), to_points(carried, k))
+    relative = np.einsum("tij,tnj->tni", rotation.matrix(quaternions), to_points(carried, axes))
     points[:, good] = relative + found.y[:3].T[:, None]
     position = found.y[:3].T.copy()
     return {"time": times, "points": points, "position": position, "orientation": quaternions}

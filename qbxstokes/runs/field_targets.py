@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Revolution
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
     if section.box is not None:
         found.append(_box(section.box))
     if section.shells is not None:
-        found.append(_shells(section.shells, Spheroid(loaded.case.body.aspect_ratio)))
+        found.append(_shells(section.shells, loaded.case.body.outline))
     if section.points is not None:
         found.append(_listed(loaded, section.points))
     return found
@@ -128,18 +128,18 @@ def surface_angles(shape: tuple[int, int]) -> tuple[Array, Array]:
     return theta, 2.0 * np.pi * np.arange(n_phi) / n_phi
 
 
-def _shells(shells: Shells, spheroid: Spheroid) -> Targets:
+def _shells(shells: Shells, shape: Revolution) -> Targets:
     theta, phi = surface_angles(shells.shape)
     distances = np.array(shells.distances)
-    shape = (len(distances), *shells.shape)
+    size = (len(distances), *shells.shape)
 
     def points(begin: int, end: int) -> Array:
-        d, i, j = np.unravel_index(np.arange(begin, end), shape)
-        foot, normal = spheroid.surface(theta[i], phi[j]), spheroid.normal(theta[i], phi[j])
+        d, i, j = np.unravel_index(np.arange(begin, end), size)
+        foot, normal = shape.surface(theta[i], phi[j]), shape.normal(theta[i], phi[j])
         return foot + distances[d][:, None] * normal
 
     parameters = {"distance": distances, "theta": theta, "phi": phi}
-    return Targets("shells", "body", shape, points, parameters)
+    return Targets("shells", "body", size, points, parameters)
 
 
 def _listed(loaded: LoadedCase, section: Points) -> Targets:

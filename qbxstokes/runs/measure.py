@@ -167,7 +167,7 @@ def _body_key(loaded: LoadedCase, scene: Simulation) -> str:
     """What the bodies of two trajectories have in common if one can stand for the other."""
     case = loaded.case
     options = {k: value for k, value in case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
-    alike = [case.body.aspect_ratio, plain(case.hydrodynamics), options]
+    alike = [case.body.outline.spec(), plain(case.hydrodynamics), options]
     return json.dumps([*alike, loaded.flow.degree, scene.need().completion], sort_keys=True)
 
 

@@ -125,7 +125,7 @@ def _work(
     driven = case.forces.given or case.constraints.given
     if kind == "table":
         skips.append(NO_ZEROS)
-        if case.body.aspect_ratio == 1.0:
+        if case.body.outline.symmetry == "sphere":
             skips.append(NO_AXIS)
     if massless:
         needs.append("position and orientation only: 7 equations (massless body)")

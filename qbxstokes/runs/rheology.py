@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.rheology import ISOTROPIC
 from qbxstokes.errors import OutputError, SceneError
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import open_cache
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.diagnostics import orbit_axis
@@ -70,8 +71,9 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
             workshop=workshop,
         )
     errors, references = {}, {}
-    if case.compare.reference != "none":
-        exact = np.array(stresslet_numbers(scene.body.aspect_ratio))
+    shape = scene.body.shape
+    if case.compare.reference != "none" and isinstance(shape, Spheroid):
+        exact = np.array(stresslet_numbers(shape.aspect_ratio))
         numbers = np.array(found.summary["stresslet_numbers"])
         errors["stresslet"] = float(np.max(np.abs(numbers / exact - 1.0)))
         references["stresslet"] = "Jeffery, Kim and Karrila"
@@ -143,7 +145,10 @@ def orientations_of(loaded: LoadedCase) -> tuple[Any, Array | None]:
     if form == "aligned":
         return np.array([value]), None
     if form == "orbits":
-        return orbit_axis(loaded.case.body.aspect_ratio, np.array(value), 0.0), None
+        k = loaded.case.body.outline.effective_ratio
+        if k is None:
+            raise loaded.error("rheology.orientations", "are orbits", "axes: this shape has no k")
+        return orbit_axis(k, np.array(value), 0.0), None
     path = loaded.path.parent / value
     try:
         rows = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")

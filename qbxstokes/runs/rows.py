@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.operator import Scheme, layer_rows
 from qbxstokes.runs.parallel import wait_asleep
 
@@ -41,14 +41,14 @@ class RowTeam:
 
     def __call__(
         self,
-        spheroid: Spheroid,
+        shape: Revolution,
         scheme: Scheme,
         n_modes: int,
         rows: Sequence[int],
         with_single: bool = False,
     ) -> tuple[Any, Any]:
         """Rows as `layer_rows` gives them, formed by all ranks; for rank 0."""
-        order = (spheroid, scheme, n_modes, list(rows), with_single)
+        order = (shape, scheme, n_modes, list(rows), with_single)
         if not self._serving:
             return layer_rows(*order)
         self._order(("rows", order))
@@ -89,8 +89,8 @@ class RowTeam:
 
 def _share(order: Any, rank: int, size: int) -> tuple[Any, Any]:
     """A rank's share of an order: every `size`-th row, so that dear rows are dealt out evenly."""
-    spheroid, scheme, n_modes, rows, with_single = order
-    return layer_rows(spheroid, scheme, n_modes, rows[rank::size], with_single)
+    shape, scheme, n_modes, rows, with_single = order
+    return layer_rows(shape, scheme, n_modes, rows[rank::size], with_single)
 
 
 def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
@@ -104,14 +104,14 @@ def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
 
 def rows_by_all(
     comm: Any,
-    spheroid: Spheroid,
+    shape: Revolution,
     scheme: Scheme,
     n_modes: int,
     rows: Sequence[int],
     with_single: bool = False,
 ) -> tuple[Any, Any]:
     """Rows as `layer_rows` gives them, formed by all ranks and known to all; called by all."""
-    order = (spheroid, scheme, n_modes, list(rows), with_single)
+    order = (shape, scheme, n_modes, list(rows), with_single)
     share = _share(order, comm.rank, comm.size)
     return share if comm.size == 1 else _put_together(comm.allgather(share))
 

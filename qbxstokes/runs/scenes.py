@@ -24,6 +24,7 @@ from qbxstokes.case.document import assigned
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.sweep import Column
 from qbxstokes.case.values import Key
+from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
 from qbxstokes.simulation.from_case import samples_of
@@ -31,7 +32,6 @@ from qbxstokes.simulation.from_case import samples_of
 Indices = NDArray[np.int64]
 
 STOKES: Key = ("body", "stokes_number")
-ASPECT_RATIO: Key = ("body", "aspect_ratio")
 _POSITION: Key = ("start", "position")
 _MOVING = {_POSITION, ("start", "velocity")}
 _PUSHING = {"forces", "constraints"}
@@ -227,7 +227,7 @@ class Scenes:
         """The instants of all trajectories, None where scenes have their own."""
         time = self.loaded.case.time
         assert time is not None
-        changing = {"time"} if time.periods is None else {"time", "flow", "start", "aspect_ratio"}
+        changing = {"time"} if time.periods is None else {"time", "flow", "start", *SHAPE_KEYS}
         varies = any(
             self._makes_scene(column) and changing & set(column.key[:2])
             for _, column in self.space.columns
@@ -346,7 +346,7 @@ class Scenes:
         if own_times or not column.numeric or key[0] not in ("body", "flow", "forces"):
             return self._labels(column, points)
         sizes = np.abs(values).reshape(len(values), -1).max(axis=1)
-        if key == ASPECT_RATIO:
+        if key[0] == "body":
             # Steps grow with the slenderness: bodies within a factor of four are alike.
             with np.errstate(divide="ignore"):
                 sizes = np.maximum(sizes, 1.0 / sizes)
@@ -378,4 +378,5 @@ def _changes_body(column: Column) -> bool:
     if column.key[0] == "flow":
         # The numbers of a named flow leave its kind (polynomial or not) as it is.
         return not column.numeric
-    return column.key[:2] == ASPECT_RATIO or column.key[0] == "hydrodynamics"
+    first, second = (*column.key[:2], None)[:2]
+    return first == "hydrodynamics" or (first == "body" and second in SHAPE_KEYS)

@@ -13,6 +13,7 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
@@ -72,8 +73,11 @@ def _span(plan: MotionPlan) -> str:
 
 
 def shape_text(case: Case) -> str:
-    """The body's shape and aspect ratio."""
-    k = case.body.aspect_ratio
+    """The body's shape and its numbers."""
+    shape = case.body.outline
+    if not isinstance(shape, Spheroid):
+        return str(shape)
+    k = shape.aspect_ratio
     if k == 1:
         return "sphere, k = 1"
     return f"{'prolate' if k < 1 else 'oblate'} spheroid, k = {quantity(k)}"

@@ -20,7 +20,7 @@ from qbxstokes.bie.operators import surface_operators
 from qbxstokes.case.running import Hydrodynamics
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.operator import independent_rows, layer_rows
 from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of, solver_factory
 
@@ -52,9 +52,9 @@ class AroundBody:
     """
 
     def __init__(
-        self, spheroid: Spheroid, flow: Flow, section: Hydrodynamics, tolerance: float
+        self, shape: Revolution, flow: Flow, section: Hydrodynamics, tolerance: float
     ) -> None:
-        self.spheroid, self.flow, self.section = spheroid, flow, section
+        self.shape, self.flow, self.section = shape, flow, section
         self.tolerance = min(section.tolerance, tolerance)
         self.operators: Any = None
         self._solvers: dict[str, Any] = {}
@@ -71,15 +71,15 @@ class AroundBody:
             n_theta, n_phi = max(8, degree + 5), 2 * degree + 4
         else:
             background = self._background(first)
-            n_theta, n_phi = resolving_grid(self.spheroid, background, 0.1 * self.tolerance)
+            n_theta, n_phi = resolving_grid(self.shape, background, 0.1 * self.tolerance)
         if scheme is None:
             scheme = choose_scheme(self.tolerance, n_theta, side=side_of(section))
         elif section.n_theta is None:
             scheme = replace(scheme, n_theta=max(scheme.n_theta, n_theta))
         n_phi = section.n_phi or n_phi
-        wanted = independent_rows(scheme.n_theta)
-        rows = form_rows(self.spheroid, scheme, n_phi // 2 + 1, wanted, True)
-        self.operators = surface_operators(self.spheroid, scheme, n_phi, "surface", rows)
+        wanted = independent_rows(self.shape, scheme.n_theta)
+        rows = form_rows(self.shape, scheme, n_phi // 2 + 1, wanted, True)
+        self.operators = surface_operators(self.shape, scheme, n_phi, "surface", rows)
 
     def at(self, instant: Instant) -> FlowAround:
         """The flow around the body at the instant; solved again only for another one."""

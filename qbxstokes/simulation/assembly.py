@@ -125,7 +125,7 @@ class Assembled:
         found = observe(self.equations, times, states, self.steady, wanted, shear, stress)
         if "orbit_constant" in found and len(self.parts) > 1:
             for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
-                axes, k = found["axis"][:, lanes], part.body.aspect_ratio
+                axes, k = found["axis"][:, lanes], part.body.effective_ratio
                 found["orbit_constant"][:, lanes] = (
                     np.nan if shear is None else orbit_constant(axes, k, shear)
                 )
@@ -139,7 +139,7 @@ class Assembled:
             turn_averages(
                 times,
                 {name: values[:, lanes] for name, values in samples.items()},
-                part.body.aspect_ratio,
+                part.body.effective_ratio,
                 part.frame,
                 discard,
             )
@@ -152,7 +152,8 @@ class Assembled:
         found = []
         for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
             rate = float(np.linalg.norm(part.gradient))
-            slenderness = max(part.body.aspect_ratio, 1.0 / part.body.aspect_ratio)
+            ratio = formed.model.effective_ratio
+            slenderness = max(ratio, 1.0 / ratio)
             found.append(self.tolerance + formed.model.error_estimate * rate * end * slenderness)
         return found
 

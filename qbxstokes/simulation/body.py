@@ -27,7 +27,8 @@ from qbxstokes.case.running import Hydrodynamics
 from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.registry import build_shape
+from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.equations import Constraints, Inertia, Loads
 from qbxstokes.simulation.hydrodynamics import (
     Former,
@@ -60,9 +61,10 @@ def flow(type: str, **keys: Any) -> Flow:
 
 
 class Body:
-    """A rigid spheroid of semi-axes (k, k, 1), its inertia, and its hydrodynamics to a tolerance.
+    """A rigid body: its shape, its inertia, and its hydrodynamics to a tolerance.
 
-    aspect_ratio: k = a/c, equatorial over polar radius; or length_over_diameter = 1/k, or a shape.
+    aspect_ratio: k = a/c, equatorial over polar radius, of a spheroid; or length_over_diameter
+    = 1/k; or a shape, as an object or as {"type": ..., ...}.
     stokes_number: St = rho_b c^2/(mu tau), 0 for a massless body; an array (lanes,) for independent
     copies. size: the polar radius in a `Suspension`'s units of length; elsewhere it is the
     unit itself, 1. inertia: of "both" motions, or of "translation" or "rotation" alone. tolerance:
@@ -79,7 +81,7 @@ class Body:
         self,
         aspect_ratio: float | None = None,
         *,
-        shape: Spheroid | None = None,
+        shape: Shape | Mapping[str, Any] | None = None,
         length_over_diameter: float | None = None,
         size: float = 1.0,
         stokes_number: ArrayLike = 0.0,
@@ -87,7 +89,7 @@ class Body:
         inertia: Inertia = "both",
         hydrodynamics: Mapping[str, Any] | Hydrodynamics | None = None,
     ) -> None:
-        self.shape = _shape(aspect_ratio, shape, length_over_diameter)
+        self.shape = build_shape(aspect_ratio, length_over_diameter, shape)
         if not 0.0 < size < math.inf:
             raise SceneError("size", f"is {size:g}", "positive and finite")
         self.size = float(size)
@@ -112,22 +114,18 @@ class Body:
         given = ""
         if np.any(self.stokes_number):
             given = f", stokes_number={self.stokes_number.tolist()}"
-        return f"Body({self.aspect_ratio:g}{given}, tolerance={self.tolerance:g})"
+        return f"Body({self.shape!r}{given}, tolerance={self.tolerance:g})"
 
     @property
-    def aspect_ratio(self) -> float:
-        """k = a/c, equatorial over polar radius."""
-        return self.shape.aspect_ratio
+    def effective_ratio(self) -> float:
+        """k of the spheroid whose axis moves alike in every linear flow; its own of a spheroid."""
+        known = self.shape.effective_ratio
+        return self.model.effective_ratio if known is None else float(known)
 
     @property
     def tolerance(self) -> float:
         """Relative error of velocities, force and torque to aim at."""
         return float(self.settings.tolerance)
-
-    @property
-    def spheroid(self) -> Spheroid:
-        """Its geometry."""
-        return self.shape
 
     def with_inertia(self, stokes_number: ArrayLike, inertia: Inertia = "both") -> Body:
         """The same body, hydrodynamics included, with another inertia."""
@@ -218,7 +216,7 @@ class Body:
         >>> np.round(np.diag(qs.Body(1.0).resistance) / np.pi, 9)
         array([6., 6., 6., 8., 8., 8.])
         """
-        return resistance_matrix(self.model)
+        return self.model.resistance.matrix
 
     @property
     def mobility(self) -> Array:
@@ -336,7 +334,7 @@ class Body:
         True
         """
         if stokes_number is not None:
-            right = f"qs.Body({self.aspect_ratio:g}, stokes_number=...).integrate(...)"
+            right = "qs.Body(..., stokes_number=...).integrate(...)"
             raise SceneError("stokes_number", "belongs to the body", right)
         return Simulation(
             self,
@@ -387,33 +385,6 @@ class Body:
         around = AroundBody(self.shape, flow, self.settings, tolerance)
         whole = around.at(Instant(t, x[0], q[0], v, omega))
         return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), tolerance)
-
-
-def resistance_matrix(model: BodyModel) -> Array:
-    """Matrix R (6, 6), body frame: (force, torque) ON the body = -R (V, Omega)."""
-    r = model.resistance
-    across, about = r.translation_transverse, r.rotation_transverse
-    return np.diag([across, across, r.translation_axial, about, about, r.rotation_axial])
-
-
-def _shape(
-    aspect_ratio: float | None, shape: Spheroid | None, length_over_diameter: float | None
-) -> Spheroid:
-    given = [value is not None for value in (aspect_ratio, shape, length_over_diameter)]
-    if sum(given) != 1:
-        raise SceneError(
-            "body",
-            "names its shape not once",
-            "exactly one of aspect_ratio, length_over_diameter and shape",
-        )
-    if shape is not None:
-        return shape
-    if length_over_diameter is not None:
-        if not (length_over_diameter > 0.0 and math.isfinite(length_over_diameter)):
-            raise SceneError("length_over_diameter", f"is {length_over_diameter:g}", "more than 0")
-        return Spheroid(1.0 / length_over_diameter)
-    assert aspect_ratio is not None
-    return Spheroid(aspect_ratio)
 
 
 def _settings(given: Mapping[str, Any]) -> Hydrodynamics:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.reference import faxen, inertial, jeffery
 
@@ -80,7 +81,11 @@ class _References:
     def __init__(self, assembled: Assembled, times: Array, samples: Mapping[str, Array]) -> None:
         scene = assembled.parts[0]
         self.found, self.times, self.samples = Comparison(), times, samples
-        self.k, self.stokes = scene.body.aspect_ratio, float(scene.stokes_number[0])
+        shape, self.stokes = scene.body.shape, float(scene.stokes_number[0])
+        if not isinstance(shape, Spheroid):
+            self.found.note = f"no closed forms for a {shape}"
+            return
+        self.k = shape.aspect_ratio
         self.flow, self.loads = scene.flow, scene.loads
         self.bound = scene.constraints or Constraints()
         self.x0, self.q0 = scene.position[0], scene.quaternion[0]

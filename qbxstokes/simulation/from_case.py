@@ -16,7 +16,7 @@ from qbxstokes.case.running import Time
 from qbxstokes.case.scene import FREE, LOCKED, Start
 from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.diagnostics import jeffery_period, orbit_axis
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
@@ -54,7 +54,7 @@ def body_of(loaded: LoadedCase, stokes_number: ArrayLike | None = None) -> Body:
     """The body of a case; stokes_number: of several lanes in the place of the case's."""
     section = loaded.case.body
     return Body(
-        section.aspect_ratio,
+        shape=section.outline,
         stokes_number=section.stokes_number if stokes_number is None else stokes_number,
         inertia=section.inertia,
         hydrodynamics=loaded.case.hydrodynamics,
@@ -71,7 +71,7 @@ def simulation_of(
     """
     case = loaded.case
     assert case.time is not None
-    own = starts_of(case.start, case.body.aspect_ratio) if starts is None else None
+    own = starts_of(case.start, case.body.outline) if starts is None else None
     stokes = case.body.stokes_number if starts is None else starts.stokes_number
     given = own or starts
     assert given is not None
@@ -94,11 +94,11 @@ def simulation_of(
 def start_of(loaded: LoadedCase) -> Simulation:
     """The body of a case where it starts, with nothing that acts on it."""
     start, body = loaded.case.start, body_of(loaded)
-    turn = start_quaternion(start, body.aspect_ratio)
+    turn = start_quaternion(start, body.shape)
     return Simulation(body, loaded.flow, position=start.position, orientation=turn)
 
 
-def starts_of(start: Start, aspect_ratio: float) -> Starts:
+def starts_of(start: Start, shape: Shape) -> Starts:
     """The start of a case as arrays without lanes."""
 
     def moving(value: Any) -> Array | None:
@@ -107,13 +107,13 @@ def starts_of(start: Start, aspect_ratio: float) -> Starts:
     return Starts(
         np.zeros(()),
         np.array(start.position),
-        start_quaternion(start, aspect_ratio),
+        start_quaternion(start, shape),
         moving(start.velocity),
         moving(start.angular_velocity),
     )
 
 
-def start_quaternion(start: Start, aspect_ratio: float) -> Array:
+def start_quaternion(start: Start, shape: Shape) -> Array:
     """Unit quaternion (4,) of the start, from whichever form the case gives."""
     form = start.orientation
     if form.quaternion is not None:
@@ -121,9 +121,19 @@ def start_quaternion(start: Start, aspect_ratio: float) -> Array:
     if form.axis is not None:
         return rotation.from_axis(np.array(form.axis))
     if form.orbit is not None:
-        return rotation.from_axis(orbit_axis(aspect_ratio, form.orbit.constant, form.orbit.phase))
+        return rotation.from_axis(
+            orbit_axis(orbit_ratio(shape), form.orbit.constant, form.orbit.phase)
+        )
     assert form.euler is not None  # the schema lets exactly one form through
     return rotation.from_euler(form.euler.phi, form.euler.theta, form.euler.psi)
+
+
+def orbit_ratio(shape: Shape) -> float:
+    """k of Jeffery orbits. Raises SceneError where only the body's law tells them."""
+    if shape.effective_ratio is None:
+        wrong = f"is not known beforehand of a {shape}"
+        raise SceneError("start.orientation.orbit", wrong, "give axis, euler or quaternion")
+    return shape.effective_ratio
 
 
 # -- time -----------------------------------------------------------------------------------------
@@ -132,7 +142,7 @@ def start_quaternion(start: Start, aspect_ratio: float) -> Array:
 def period_of(loaded: LoadedCase) -> float | None:
     """Jeffery's period in the gradient at the start, None where the axis comes to rest."""
     gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
-    return jeffery_period(gradient, loaded.case.body.aspect_ratio)
+    return jeffery_period(gradient, body_of(loaded).effective_ratio)
 
 
 def times_of(loaded: LoadedCase) -> Array:
@@ -175,7 +185,7 @@ def _needed_samples(loaded: LoadedCase) -> int:
     if period_of(loaded) is None:
         return _SAMPLES[0]
     gradient = loaded.flow.gradient(np.array(loaded.case.start.position))
-    k = loaded.case.body.aspect_ratio
+    k = body_of(loaded).effective_ratio
     shape = abs((1.0 - k * k) / (1.0 + k * k))
     spin = np.linalg.norm(gradient - gradient.T) / np.sqrt(8.0)
     fastest = spin + shape * np.linalg.norm(0.5 * (gradient + gradient.T), 2)
@@ -240,7 +250,7 @@ def weight(loaded: LoadedCase) -> Array:
     gravity = case.forces.gravity
     assert gravity is not None
     direction = np.array(gravity.direction)
-    volume = Spheroid(case.body.aspect_ratio).volume
+    volume = case.body.outline.volume
     net = gravity.net(case.body.stokes_number)
     return np.asarray(volume * net * direction / np.linalg.norm(direction))
 

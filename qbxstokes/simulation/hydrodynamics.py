@@ -17,7 +17,7 @@ from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -123,7 +123,7 @@ class Hydrodynamic:
 
 
 def form_body(
-    spheroid: Spheroid,
+    shape: Revolution,
     section: Hydrodynamics,
     degree: int,
     completion: Completion | None,
@@ -139,7 +139,7 @@ def form_body(
     solvers: list[Any] = []
     residual = solver_tolerance(section)
     key = {
-        "aspect_ratio": spheroid.aspect_ratio,
+        "shape": shape.spec(),
         "degree": degree,
         "tolerance": section.tolerance,
         "side": side_of(section),
@@ -157,7 +157,7 @@ def form_body(
     if arrays is not None:
         return AccurateBody.from_arrays(arrays), []
     body = accurate_body(
-        spheroid,
+        shape,
         section.tolerance,
         scheme,
         side=side_of(section),
@@ -192,13 +192,13 @@ class Former:
 
     def __init__(
         self,
-        spheroid: Spheroid,
+        shape: Revolution,
         section: Hydrodynamics,
         flow: Flow,
         need: Need,
         workshop: Workshop,
     ) -> None:
-        self._spheroid, self._section, self._flow = spheroid, section, flow
+        self._shape, self._section, self._flow = shape, section, flow
         self._need, self._workshop = need, workshop
 
     def provider(self, body: AccurateBody, facts: dict[str, Any], solvers: list[Any]) -> Any:
@@ -256,7 +256,7 @@ class Former:
         spread = completion == "surface"
         n_modes = n_phi // 2 + 1
         key = {
-            "aspect_ratio": self._spheroid.aspect_ratio,
+            "shape": self._shape.spec(),
             "scheme": [self._section.scheme, asdict(scheme)],
             "n_modes": n_modes,
             "single": spread,
@@ -264,12 +264,12 @@ class Former:
         cache = self._workshop.cache
         arrays = cache.load("operator", key)
         if arrays is None:
-            wanted = independent_rows(scheme.n_theta)
-            rows = self._workshop.form_rows(self._spheroid, scheme, n_modes, wanted, spread)
+            wanted = independent_rows(self._shape, scheme.n_theta)
+            rows = self._workshop.form_rows(self._shape, scheme, n_modes, wanted, spread)
             cache.store("operator", key, {"double": rows[0], "single": rows[1]})
         else:
             rows = arrays["double"], arrays["single"]
-        operators = surface_operators(self._spheroid, scheme, n_phi, completion, rows)
+        operators = surface_operators(self._shape, scheme, n_phi, completion, rows)
         return SolveMotion(operators, self._flow, solver_factory(self._section, solvers))
 
 

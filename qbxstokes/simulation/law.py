@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.exact import true_error
 from qbxstokes.bie.stresslet import Stresslet
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.body import resistance_matrix
 from qbxstokes.simulation.compare import Comparison
+from qbxstokes.simulation.exact import true_error
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 
@@ -44,7 +44,7 @@ class Law:
     def arrays(self) -> dict[str, Array]:
         """The quantities of `quantities.BODY` by name; those in a flow where there is one."""
         model = self.formed.model
-        resistance = resistance_matrix(model)
+        resistance = model.resistance.matrix
         found = {
             "resistance": resistance,
             "mobility": np.diag(1.0 / np.diag(resistance)),
@@ -68,7 +68,7 @@ class Law:
     @property
     def _unit(self) -> float:
         """Stresslet of the sphere around the body in a unit strain."""
-        return 20.0 * np.pi / 3.0 * max(1.0, self.scene.body.aspect_ratio) ** 3
+        return 20.0 * np.pi / 3.0 * self.scene.body.shape.radius**3
 
     def _moving(self, velocity: Any) -> tuple[Array, Array]:
         """Velocities (3,) of the free body (velocity None), or force and torque on the held one."""
@@ -90,11 +90,15 @@ class Law:
 
     def errors(self, arrays: dict[str, Array]) -> Comparison:
         """Errors of the motion against the laws of Lamb, Jeffery and Faxen."""
-        flow, k = self.scene.flow, self.scene.body.aspect_ratio
+        flow, shape = self.scene.flow, self.scene.body.shape
         degree = 3 if not self.in_flow or flow.degree is None else min(3, max(1, flow.degree))
         found = Comparison()
+        if not isinstance(shape, Spheroid):
+            found.note = f"no closed forms for a {shape}"
+            return found
         found.add("law", "Lamb, Jeffery and Faxen", true_error(self.formed.model, degree))
         if self.in_flow:
+            k = shape.aspect_ratio
             nodes, _ = self.formed.facts.get("flow_nodes", (0, 0))
             place = rotation.matrix(self.scene.quaternion[0]), self.scene.position[0]
             order = max(_REFERENCE_NODES, _FINER * nodes)
@@ -110,8 +114,14 @@ class Law:
         return found
 
     def stresslet_error(self) -> float:
-        """Largest relative error of S0, S1, S2 and the held S1 against Kim and Karrila."""
-        k = self.scene.body.aspect_ratio
+        """Largest relative error of S0, S1, S2 and the held S1 against Kim and Karrila.
+
+        NaN where there are no closed forms.
+        """
+        shape = self.scene.body.shape
+        if not isinstance(shape, Spheroid):
+            return float("nan")
+        k = shape.aspect_ratio
         exact = np.array([*stress.stresslet_numbers(k), stress.held_number(k)])
         return float(np.max(np.abs(self._numbers / exact - 1.0)))
 
@@ -122,6 +132,6 @@ class Law:
         surface = shape.surface(theta, theta.T * 2.0).reshape(-1, 3)
         turn = rotation.matrix(scene.quaternion[0])
         speed = np.linalg.norm(scene.flow.velocity(scene.position[0] + surface @ turn.T), axis=-1)
-        fast, length = float(speed.max()), max(shape.aspect_ratio, 1.0)
-        across, _, about, _ = faxen.resistance(shape.aspect_ratio)
+        fast, length = float(speed.max()), shape.radius
+        across, _, about, _ = vars(self.formed.model.resistance).values()
         return fast, fast / length, across * fast, about * fast / length

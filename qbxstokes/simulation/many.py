@@ -164,9 +164,7 @@ def field_of(found: Solution, flow: Flow | None, points: Array, t: float) -> dic
     problem = found.problem
     inside = np.zeros(len(points), dtype=bool)
     for body in problem.bodies:
-        x = body.to_body(points)
-        level = (x[:, 0] ** 2 + x[:, 1] ** 2) / body.aspect_ratio**2 + x[:, 2] ** 2
-        inside |= level < 1.0 - 1e-12
+        inside |= body.shape.level(body.to_body(points)) < 1.0 - 1e-12
     if problem.wall is not None:
         inside |= problem.wall.height(points) < -1e-12
     here = points[~inside]

@@ -153,7 +153,7 @@ class Simulation:
     @cached_property
     def period(self) -> float | None:
         """Jeffery's period in the gradient at the start; None where the axis comes to rest."""
-        return jeffery_period(self.gradient, self.body.aspect_ratio)
+        return jeffery_period(self.gradient, self.body.effective_ratio)
 
     @property
     def massless(self) -> bool:
@@ -182,9 +182,9 @@ class Simulation:
 
     def check(self) -> None:
         """Refuse a flow that is not Stokesian near the body, singular in it, or that ends there."""
-        flow, k = self.flow, self.body.aspect_ratio
+        flow, shape = self.flow, self.body.shape
         axes = rotation.axis(self.quaternion)
-        beyond = outside(flow.domain, self.position, axes, k)
+        beyond = outside(flow.domain, self.position, axes, shape)
         if beyond:
             raise SceneError(
                 "start.position", next(iter(beyond.values())), "start with the whole body inside"
@@ -192,18 +192,18 @@ class Simulation:
         try:
             if len(flow.singular_points):
                 for place, axis in zip(self.position, axes, strict=True):
-                    check_singularities(flow, place, axis, k)
+                    check_singularities(flow, place, axis, shape)
         except FlowError as error:
             right = "move the body or the singular point"
             raise SceneError("start.position", str(error), right) from None
         try:
-            check_stokesian(flow, self.position[0], radius=2.0 * max(1.0, k))
+            check_stokesian(flow, self.position[0], radius=2.0 * shape.radius)
         except FlowError as error:
             raise SceneError(".".join(map(str, ("flow", *error.key))), str(error)) from None
         if flow.singular_points_known:
             return
         try:
-            check_regular(flow, self.position[0], axes[0], k)
+            check_regular(flow, self.position[0], axes[0], shape)
         except FlowError as error:
             raise SceneError("flow", str(error), "a start.position away from there") from None
 

@@ -49,7 +49,7 @@ def form_stresslet(
     fixed = explicit_scheme(section)
     scheme = fixed or choose_scheme(section.tolerance, side=side_of(section))
     key = {
-        "aspect_ratio": shape.aspect_ratio,
+        "shape": shape.spec(),
         "tolerance": section.tolerance,
         "scheme": [section.scheme, asdict(scheme)],
         "residual": solver_tolerance(section),
@@ -79,9 +79,11 @@ class FreeStress:
     """
 
     def __init__(self, body: Body, flow: Flow, stresslet: Stresslet) -> None:
-        self.stresslet, self._flow, self._k = stresslet, flow, body.aspect_ratio
+        self.stresslet, self._flow, axes = stresslet, flow, body.shape.semi_axes
         self._polynomial: PolynomialFlow | None = None
-        if flow.degree is not None and flow.degree <= 3:
+        # Third derivatives enter by the volume average of an ellipsoid.
+        if flow.degree is not None and flow.degree <= (2 if axes is None else 3):
+            self._k = 1.0 if axes is None else axes[0]
             self._polynomial = flow.polynomial
         else:
             self._grid = GridStress(stresslet, flow, _FLOW_SHARE * body.tolerance)

@@ -13,6 +13,7 @@ from qbxstokes.bie.coupling import Coupled, Placed, Plane, choose_nodes
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import Spheroid
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -132,6 +133,9 @@ class Suspension:
         self.bodies = list(bodies)
         if not self.bodies:
             raise SceneError("bodies", "are none", "at least one")
+        for body in self.bodies:
+            if not isinstance(body.shape, Spheroid):
+                raise SceneError("bodies", f"hold a {body.shape}", "spheroids: gaps are theirs")
         if surroundings is not None and not isinstance(surroundings, Wall):
             raise SceneError("surroundings", f"is {surroundings!r}", "None or a qs.Wall(...)")
         if not 1e-12 <= tolerance <= 0.1:
@@ -162,7 +166,7 @@ class Suspension:
             )
         q = rotation.normalize(turn) if turn.shape[1] == 4 else rotation.from_axis(turn)
         return [
-            Placed(body.aspect_ratio, body.size, centre, matrix)
+            Placed(body.shape, body.size, centre, matrix)
             for body, centre, matrix in zip(self.bodies, x, rotation.matrix(q), strict=True)
         ]
 

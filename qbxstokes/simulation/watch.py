@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
-from qbxstokes.flows.check import clearance
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
@@ -26,12 +25,12 @@ _CLEARANCE = 0.05
 
 def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Array) -> Events:
     """The watch over a motion of one lane; raises SceneError where it would end as it starts."""
-    section, flow, k = scene.events, scene.flow, scene.body.aspect_ratio
+    section, flow, shape = scene.events, scene.flow, scene.body.shape
     position, axis = scene.position[0], rotation.axis(scene.quaternion[0])
     passage = None
     if section.half_turns and (scene.period is not None or section.plane is not None):
         plane = None if section.plane is None else np.array(section.plane)
-        passage = Passage.of(scene.gradient, k, plane)
+        passage = Passage.of(scene.gradient, scene.body.effective_ratio, plane)
     scale = float(np.max(equations.time_rate(0.0, initial)))
     events: list[Event] = [
         turning_point(equations, name, scale) for name in dict.fromkeys(section.turning_points)
@@ -44,15 +43,15 @@ def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Arra
         if event.function(0.0, row) >= 0.0:
             raise SceneError("events.region", "does not hold start.position", "a larger region")
         events.append(event)
-    gaps: list[Gap] = [edge_gap(edge, k, slice(None)) for edge in flow.domain]
+    gaps: list[Gap] = [edge_gap(edge, shape, slice(None)) for edge in flow.domain]
     if len(flow.singular_points):
-        there = float(np.min(clearance(flow.singular_points, position, axis, k)))
+        there = float(np.min(shape.clearance(flow.singular_points, position, axis)))
         least = min(_CLEARANCE, 0.5 * there) if section.clearance is None else section.clearance
         if there <= least:
             wrong = f"is {least:g}, more than the {there:.3g} at the start"
             raise SceneError("events.clearance", wrong)
-        gaps.append(singular_gap(flow.singular_points, k, least))
-    contacts = Contacts(gaps, np.array([max(k, 1.0)])) if gaps else None
+        gaps.append(singular_gap(flow.singular_points, shape, least))
+    contacts = Contacts(gaps, np.array([shape.radius])) if gaps else None
     frame = scene.frame if scene.frame.simple else None
     return Events(equations, passage, events, frame, contacts)
 
@@ -63,9 +62,9 @@ def lane_contacts(parts: Sequence[Simulation]) -> Contacts | None:
     first = 0
     for part in parts:
         lanes = slice(first, first + len(part))
-        gaps += [edge_gap(edge, part.body.aspect_ratio, lanes) for edge in part.flow.domain]
+        gaps += [edge_gap(edge, part.body.shape, lanes) for edge in part.flow.domain]
         first += len(part)
-    arms = [np.full(len(part), max(part.body.aspect_ratio, 1.0)) for part in parts]
+    arms = [np.full(len(part), part.body.shape.radius) for part in parts]
     return Contacts(gaps, np.concatenate(arms)) if gaps else None
 
 

@@ -12,6 +12,8 @@ from qbxstokes.case.document import plain
 from qbxstokes.case.scene import FREE
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
+from qbxstokes.geometry.shape import Shape
+from qbxstokes.geometry.spheroid import Spheroid
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Simulation
@@ -31,7 +33,7 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
     hydrodynamics = plain(body.settings)
     case: dict[str, Any] = {
         "task": "motion",
-        "body": {"aspect_ratio": body.aspect_ratio},
+        "body": _shape_keys(body.shape),
         "flow": _flow_keys(scene.flow),
         "hydrodynamics": {name: v for name, v in hydrodynamics.items() if v is not None},
         "events": {n: v for n, v in plain(scene.events).items() if v not in (None, [], ())},
@@ -72,6 +74,11 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
     }
     case["start"]["orientation"] = {"quaternion": case["start"]["orientation"]}
     return case
+
+
+def _shape_keys(shape: Shape) -> dict[str, Any]:
+    short = isinstance(shape, Spheroid)
+    return {**shape.parameters} if short else {"shape": shape.spec()}
 
 
 def _flow_keys(flow: Flow) -> dict[str, Any]:

@@ -11,13 +11,13 @@ import pytest
 from conftest import See
 from numpy.typing import NDArray
 
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.flows.named import Shear, Uniform
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.reference import heavy, inertial, jeffery
+from qbxstokes.simulation.exact import exact_model
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def test_stokes_numbers(see: See) -> None:
         times = np.linspace(0.0, jeffery.period(k), 5)
         for power in range(-8, 9):
             stokes = 10.0**power
-            equations = RigidBodyEquations(exact_model(k), Shear(), stokes)
+            equations = RigidBodyEquations(exact_model(Spheroid(k)), Shear(), stokes)
             q = rotation.from_axis(np.array([0.5, 0.3, 0.8]))
             start = equations.initial_state(np.zeros(3), q)
             run = integrate(equations, start, times, tolerance)
@@ -82,7 +82,7 @@ def test_long_runs(see: See) -> None:
                 see(float(drift), 1e-7, f"drift of the orbit constant, k = {k:g}")
                 see(float(np.abs(d - axis).max()), 1e-7, f"axis after whole periods, k = {k:g}")
 
-        equations = RigidBodyEquations(exact_model(k), Shear())
+        equations = RigidBodyEquations(exact_model(Spheroid(k)), Shear())
         start = equations.initial_state(np.zeros(3), rotation.from_axis(axis))
         times = jeffery.period(k) * np.arange(10_001)
         run = integrate(equations, start, times, 1e-12, on_chunk=look, chunk_samples=256)
@@ -103,7 +103,7 @@ def test_orientations(extent: str, see: See) -> None:
     shapes = (0.5,) if small else (0.05, 0.5, 1.0, 2.0, 20.0)
     for angle, k, pole in product((0.0, 1e-300, 1e-16, 1e-12, 1e-8), shapes, (0.0, np.pi)):
         where = f"{angle:g} beside theta = {pole:.2g}, k = {k:g}"
-        equations = RigidBodyEquations(exact_model(k), Shear())
+        equations = RigidBodyEquations(exact_model(Spheroid(k)), Shear())
         times = np.linspace(0.0, 2.0 * jeffery.period(k), 9)
         phi, psi = rng.uniform(-3.0, 3.0, 2)
         q = rotation.from_euler(phi, pole + (angle if pole == 0.0 else -angle), psi)
@@ -129,7 +129,7 @@ SPIN = (0.6, -0.3, 1.0)
 
 def spin_rates(k: float, stokes_number: float) -> tuple[float, float, float]:
     """a = R_a/(St J3), b = R_t/(St J1) and g = (J3 - J1)/J1 of Euler's equations with drag."""
-    r = exact_model(k).resistance
+    r = exact_model(Spheroid(k)).resistance
     j1, _, j3 = Spheroid(k).inertia
     a, b = r.rotation_axial / (stokes_number * j3), r.rotation_transverse / (stokes_number * j1)
     return float(a), float(b), float((j3 - j1) / j1)
@@ -187,7 +187,7 @@ def test_torque_free(extent: str, see: See) -> None:
     shapes, heavies = ((0.5,), (1e8,)) if small else ((0.1, 0.5, 1, 2, 10), (1e4, 1e8, 1e12))
     for k, stokes in product(shapes, heavies):
         inertia = Spheroid(k).inertia
-        equations = RigidBodyEquations(exact_model(k), still, stokes)
+        equations = RigidBodyEquations(exact_model(Spheroid(k)), still, stokes)
         q = rotation.from_axis([0.3, 0.5, 0.8])
         spin = rotation.to_space(q, np.array(SPIN))
         start = equations.initial_state(np.zeros(3), q, np.array([1.0, 2.0, 3.0]), spin)

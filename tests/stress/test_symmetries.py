@@ -24,7 +24,6 @@ from scenes import (
 )
 
 from qbxstokes.bie.accuracy import choose_scheme
-from qbxstokes.bie.exact import exact_model
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows import build_flow
@@ -34,6 +33,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.reference import faxen, jeffery
+from qbxstokes.simulation.exact import exact_model
 
 extents = pytest.mark.parametrize("extent", ["small", pytest.param("full", marks=pytest.mark.slow)])
 
@@ -140,7 +140,7 @@ def test_positions(extent: str, see: See) -> None:
             # Shear of rate one far off the axis of a paraboloid, whose curvature is small there.
             flow, x = Paraboloid(0.5 / distance), np.array([0.0, distance, 0.0])
             axis = rotation.random_axes(1, rng)[0]
-            equations = RigidBodyEquations(exact_model(k), flow)
+            equations = RigidBodyEquations(exact_model(Spheroid(k)), flow)
             start = equations.initial_state(x, rotation.from_axis(axis))
             velocity, spin = equations.velocities(0.0, start)
             u, omega = faxen.free_motion_polynomial(k, axis, *flow.derivatives(x))
@@ -149,7 +149,7 @@ def test_positions(extent: str, see: See) -> None:
             error = float(np.abs(velocity[0] - u).max() / np.abs(u).max())
             see(error, rounding, f"paraboloid, U, {where}")
             axis = rotation.random_axes(1, rng)[0]
-            equations = RigidBodyEquations(exact_model(k), Shear())
+            equations = RigidBodyEquations(exact_model(Spheroid(k)), Shear())
             start = equations.initial_state([distance, 0.0, distance], rotation.from_axis(axis))
             end = integrate(equations, start, [0.0, 2.0], TOLERANCE).states[-1, 0]
             error = float(np.abs(rotation.axis(end[3:7]) - jeffery.axis_at(2.0, k, axis)).max())
