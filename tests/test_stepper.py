@@ -15,7 +15,6 @@ from scenes import phase_period
 
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.flows import build_flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -92,7 +91,7 @@ def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
 def test_light_bodies_take_explicit_steps_where_implicit_ones_round_too_much() -> None:
     equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR, 1e-2)
     coarse, fine = (
-        integrate(equations, start_of(equations), [20.0], tolerance, t0=10.0).checkpoint.method
+        integrate(equations, start_of(equations), [20.0], tolerance, t0=19.9).checkpoint.method
         for tolerance in (1e-6, 1e-13)
     )
     assert (coarse, fine) == ("bdf", "8vr")
@@ -487,15 +486,3 @@ def test_the_forecast_tells_method_and_steps(k: float, stokes_number: float) -> 
         < forecast.steps("rk" if run.checkpoint.method == "8vr" else "bdf") / run.checkpoint.steps
         < 2.0
     )
-
-
-def test_no_integrator_is_asked_for_less_than_rounding_leaves() -> None:
-    """A thick disc in a wide channel that starts faster than the fluid: BDF would not advance."""
-    flow = build_flow({"type": "plane_poiseuille", "half_width": 180.0}).polynomial
-    equations = RigidBodyEquations(exact_model(18.0), flow, 0.4)
-    q = rotation.from_axis(np.ones(3))
-    start = equations.initial_state([0.0, 1.0, 0.0], q, [0.1] * 3, [0.1] * 3)
-    found = integrate(equations, start, [17.0], 1e-10)
-    assert found.checkpoint.steps < 300
-    finer = integrate(equations, start, [17.0], 1e-12, method="5dp")
-    np.testing.assert_allclose(found.states[-1], finer.states[-1], rtol=0.0, atol=1e-9)

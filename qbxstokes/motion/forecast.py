@@ -9,12 +9,8 @@ from qbxstokes.motion.equations import RigidBodyEquations
 
 Array = NDArray[np.float64]
 
-# Smallest local tolerance: below it the error estimate is rounding, which the differences of high
-# order that BDF takes of its steps make larger: there it would cut its steps without end.
+# Smallest local tolerance: below it the error estimate is rounding.
 FLOOR = 2e-15
-_FLOORS = {"bdf": 5e-14}
-# Times of relaxation that a body takes to follow the flow from a start of its own.
-_LAYER = 30.0
 EXPLICIT_TYPES = ("rk",)
 # Error of a step over the share of the tolerance that falls to it: (factor share)^power.
 _LOCAL = {"bdf": (0.5, 7.0 / 6.0), "arkimex": (0.1, 1.0)}
@@ -52,7 +48,7 @@ class Forecast:
         """
         share = self._asked / self._sensitivity
         factor, power = _LOCAL.get(kind, (1.0, 1.0))
-        return max(float((factor * share) ** power), _FLOORS.get(kind, FLOOR))
+        return max(float((factor * share) ** power), FLOOR)
 
     def reachable(self, kind: str) -> float:
         """The tolerance that leads to the smallest error of a step, that of rounding.
@@ -60,7 +56,7 @@ class Forecast:
         Rounding adds up to as much: 0.1 to 3 times this after ten periods, k from 1/50 to 50.
         """
         factor, power = _LOCAL.get(kind, (1.0, 1.0))
-        return self._sensitivity * float(_FLOORS.get(kind, FLOOR) ** (1.0 / power)) / factor
+        return self._sensitivity * float(FLOOR ** (1.0 / power)) / factor
 
     def steps(self, kind: str) -> float:
         """Steps that accuracy needs and, for an explicit formula, the relaxation.
@@ -89,8 +85,6 @@ class Forecast:
         """
         missed = self.reachable("bdf") > WITHIN * self._asked >= self.reachable("rk")
         share = AFFORDED if missed else 1.0
-        layer = min(_LAYER, self._stiff_span) * self.tolerance("bdf") ** (-1.0 / 8.0)
-        implicit = self.evaluations("bdf") + 1.6 * IMPLICIT_COST * layer
-        if share * implicit < self.evaluations("rk"):
+        if share * self.evaluations("bdf") < self.evaluations("rk"):
             return "bdf"
         return "5dp" if self.tolerance("rk") > LOOSE else "8vr"
