@@ -102,7 +102,7 @@ def test_no_slip_holds_on_the_wall_and_between_the_nodes() -> None:
     assert np.abs(found["velocity"]).max() < 1e-13
     solution = scene.free(strain, x, axes, force=[0.0, 0.0, -1.0])
     theta, phi = np.array([0.3, 1.1, 2.9]), np.array([0.1, 2.0, 5.5])
-    arm = scene.bodies[0].spheroid.surface(theta, phi) @ solution.problem.bodies[0].rotation.T
+    arm = scene.bodies[0].shape.surface(theta, phi) @ solution.problem.bodies[0].rotation.T
     field = scene.field(strain, x[0] + (1 + 1e-13) * arm, x, axes, force=[0.0, 0.0, -1.0])
     rigid = solution.velocity[0] + np.cross(solution.angular_velocity[0], arm)
     assert np.abs(field["velocity"] - rigid).max() < 1e-6

@@ -146,8 +146,8 @@ def test_events_of_a_resumed_run_are_those_of_a_whole_one() -> None:
 
 def farthest(k: float, axis: Any, centre: Any) -> float:
     """Largest distance from the line along e1 of a spheroid's surface, by a fine grid."""
-    theta = np.linspace(0.0, np.pi, 301)[:, None]
-    points = Spheroid(k).surface(theta, np.linspace(0.0, 2.0 * np.pi, 301))
+    theta = np.linspace(0.0, np.pi, 801)[:, None]
+    points = Spheroid(k).surface(theta, np.linspace(0.0, 2.0 * np.pi, 1201))
     turned = points @ rotation.matrix(rotation.from_axis(np.array(axis))).T + centre
     return float(np.hypot(turned[..., 1], turned[..., 2]).max())
 

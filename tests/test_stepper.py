@@ -244,7 +244,7 @@ def test_release_from_rest(stokes_number: float) -> None:
 
 def test_a_first_step_that_cannot_be_solved_is_shortened() -> None:
     """A light body along the stream hardly moves at first: the first step is far too long."""
-    equations = RigidBodyEquations(exact_model(0.2), SHEAR, 1.0)
+    equations = RigidBodyEquations(exact_model(Spheroid(0.2)), SHEAR, 1.0)
     along = rotation.from_axis(np.array([1.0, 0.0, 0.0]))
     start = equations.initial_state((0.0, 0.0, 0.0), along)
     found = integrate(equations, start, [10.0], 1e-7, method="bdf")

@@ -116,11 +116,17 @@ def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
     return integrate(block, start, [period], 1e-8).states[-1, :, 3:7]
 
 
+def skips(k: float = 0.5) -> Iterator[tuple[str, Work, Work]]:
+    """Name of each skip, the work without it and with it; both give comparable arrays."""
+    session.start([])
+    yield from set_up_skips(k)
+    yield from step_skips(k)
+
+
 def main(small: bool = False) -> dict[str, Rows]:
     """A row per skip."""
-    session.start([])
     rows: Rows = []
-    for name, full, short in (*set_up_skips(0.5), *step_skips(0.5)):
+    for name, full, short in skips():
         slow, before = timed(full, 1 if small else 7, time.thread_time)
         fast, after = timed(short, 1 if small else 7, time.thread_time)
         change = float(np.max(np.abs(before - after)) / np.max(np.abs(before)))

@@ -45,11 +45,11 @@ class Resolved(GradedScheme):
 
 def measure(r_over_h: float, order: int, upsamplings: Any, table: Table) -> None:
     """Add error, its truncation and its quadrature part; nan where the radius is forbidden."""
-    allowed = r_over_h <= common.largest_ratio(BODY.shape.aspect_ratio, N_THETA)
+    allowed = r_over_h <= common.largest_ratio(BODY.aspect_ratio, N_THETA)
     for kappa in upsamplings:
         row = dict.fromkeys(("error", "truncation", "quadrature", "time"), np.nan)
         if allowed:
-            scheme = common.uniform(BODY.shape.aspect_ratio, N_THETA, order, r_over_h, kappa)
+            scheme = common.uniform(BODY.aspect_ratio, N_THETA, order, r_over_h, kappa)
             if kappa == upsamplings[0]:
                 exact = Resolved(N_THETA, order, 1.0, 16, 0.7, "average", False, scheme)
                 resolved = plain_body(BODY, exact).model
@@ -114,7 +114,7 @@ def main(small: bool = False) -> dict[str, float]:
     upsamplings = (4, 8) if small else (4, 8, 16)
     parts = (1.0, 1.2) if small else (0.15, 0.3, 0.5, 0.7, 1.0, 1.2)  # the last is forbidden
     orders = (4, 9) if small else (2, 4, 6, 9, 13, 18, 24)
-    largest = common.largest_ratio(BODY.shape.aspect_ratio, N_THETA)
+    largest = common.largest_ratio(BODY.aspect_ratio, N_THETA)
     ratios = [round(part * largest, 4) for part in parts]
     table = Table("qbx_truncation", "relative errors; nan where the ball crosses the surface; s")
     for r_over_h in ratios:
