@@ -17,6 +17,8 @@ import qbxstokes as qs
 from qbxstokes.io import cache as cache_module
 from qbxstokes.io.cache import Cache, default_folder
 from qbxstokes.io.store import read_part, write_part
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.stresses import form_stresslet
 
 KEY = {"aspect_ratio": 0.1, "scheme": {"n_theta": 6}}
 ARRAYS = {"weights": np.arange(6.0).reshape(2, 3), "size": np.array(3), "word": np.array("Φ")}
@@ -283,6 +285,16 @@ def test_wrong_numbers_are_computed_anew(entries, tmp_path, kind, change):
     problems = result.summary["cache_problems"]
     assert any(f"{kind}-" in text and "computed anew" in text for text in problems), problems
     assert len(qs.run(case).summary["cache_problems"]) == 0  # mended
+
+
+@pytest.mark.parametrize("name", ["numbers", "profile_1", "error_parts"])
+def test_a_stresslet_is_not_believed_either(tmp_path, name):
+    body, workshop = qs.Body(0.5, tolerance=1e-4), Workshop(cache=Cache(tmp_path))
+    right = form_stresslet(body, workshop)
+    assert form_stresslet(body, workshop).numbers.tolist() == right.numbers.tolist()
+    rewritten(entry(tmp_path), scaled(name, np.nan if name == "error_parts" else 1.5))
+    assert form_stresslet(body, workshop).numbers.tolist() == right.numbers.tolist()
+    assert "computed anew" in workshop.cache.problems[0]
 
 
 def test_a_sweep_says_what_it_does_not_believe(entries, tmp_path, capsys):

@@ -53,7 +53,7 @@ class Store(Protocol):
         """What was found and could not be used."""
 
     def load(
-        self, kind: str, key: Mapping[str, Any], fault: Fault
+        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
     ) -> dict[str, NDArray[Any]] | None:
         """What was stored under the key, if anything was in which there is no fault."""
 
@@ -70,7 +70,7 @@ class Nowhere:
         self.problems: list[str] = []
 
     def load(
-        self, kind: str, key: Mapping[str, Any], fault: Fault
+        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
     ) -> dict[str, NDArray[Any]] | None:
         """Nothing."""
         return None

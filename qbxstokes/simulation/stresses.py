@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.stress import mean_strain, stresslets, torque_stresslets
+from qbxstokes.qbx.operator import SurfaceGrid
+from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.simulation.hydrodynamics import (
     Workshop,
     explicit_scheme,
@@ -52,9 +55,10 @@ def form_stresslet(
         "residual": solver_tolerance(section),
         "preconditioner": section.preconditioner,
     }
-    arrays = workshop.cache.load("stresslet", key)
+    grid = scheme.grid(shape, N_PHI)
+    arrays = workshop.cache.load("stresslet", key, partial(_fault, grid))
     if arrays is not None:
-        return Stresslet.from_arrays(scheme.grid(shape, N_PHI), arrays)
+        return Stresslet.from_arrays(grid, arrays)
     found = accurate_stresslet(
         shape,
         section.tolerance,
@@ -67,6 +71,19 @@ def form_stresslet(
     if found.functional.grid.n_theta == scheme.n_theta:
         workshop.cache.store("stresslet", key, found.to_arrays())
     return found
+
+
+def _fault(grid: SurfaceGrid, arrays: Mapping[str, Any]) -> str:
+    """What is wrong with a stresslet that was kept: its functional and the closed forms agree."""
+    try:
+        kept = Stresslet.from_arrays(grid, arrays)
+        acting = kept.functional.numbers()
+        known = np.array(stresslet_numbers(grid.spheroid.aspect_ratio))
+        missed = float(np.abs(np.stack([acting, kept.numbers]) / known - 1.0).max())
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        return f"does not hold a stresslet ({' '.join(str(error).split())})"
+    good = missed <= max(30.0 * kept.error_estimate, 1e-8)
+    return "" if good else "does not hold the stresslet of this body"
 
 
 class FreeStress:
