@@ -15,10 +15,10 @@ from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stres
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.spheroid import SurfaceGrid
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.stress import mean_strain, stresslets, torque_stresslets
-from qbxstokes.qbx.operator import SurfaceGrid
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.simulation.hydrodynamics import (
     Workshop,
