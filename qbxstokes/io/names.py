@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from qbxstokes.errors import CaseError, OutputError, ResultFileError
+from qbxstokes.errors import CaseError, ResultFileError
 from qbxstokes.io.format import FORMAT
 
 
@@ -50,19 +49,6 @@ def check_writable(path: Path, overwrite: bool = False) -> None:
             f"{path}: exists and is not a result of this program, so it is not overwritten; "
             "choose another name or remove it"
         )
-
-
-def check_disk(target: Path, needed: float, what: str, right: str) -> None:
-    """Refuse what the disk cannot hold before anything is computed; raises OutputError.
-
-    needed: bytes in all, of which the parts that are there have theirs.
-    """
-    folder = target.parent
-    held = sum(path.stat().st_size for path in parts_of(target).glob("*-*.h5"))
-    free = shutil.disk_usage(folder).free
-    if free < needed - held:
-        size, room = f"{needed / 1e6:.3g} MB", f"{free / 1e6:.3g} MB"
-        raise OutputError(f"{folder}: {room} are free, and {what} needs {size}, {right}")
 
 
 def temporary_name(path: Path, folder: Path | None = None) -> Path:

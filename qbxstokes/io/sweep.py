@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
-from qbxstokes.io.names import check_disk
 from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
+from qbxstokes.io.store import check_disk
 from qbxstokes.quantities import MOTION, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.field import INSIDE, SOURCES, FlowAround
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
-from qbxstokes.io.names import check_disk
-from qbxstokes.io.store import Work
+from qbxstokes.io.store import Work, check_disk
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of

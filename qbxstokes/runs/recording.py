@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
-from qbxstokes.io.names import check_disk, told_by
-from qbxstokes.io.store import DamagedPart, open_work, read_part
+from qbxstokes.io.names import told_by
+from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
