@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -12,8 +13,12 @@ import h5py
 import numpy as np
 import pytest
 
+import qbxstokes as qs
 from qbxstokes.io import cache as cache_module
 from qbxstokes.io.cache import Cache, default_folder
+from qbxstokes.io.store import read_part, write_part
+from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.stresses import form_stresslet
 
 KEY = {"aspect_ratio": 0.1, "scheme": {"n_theta": 6}}
 ARRAYS = {"weights": np.arange(6.0).reshape(2, 3), "size": np.array(3), "word": np.array("Φ")}
@@ -189,3 +194,159 @@ def test_a_warm_start_takes_milliseconds(tmp_path):
     assert again.scheme == body.scheme
     for name, weight in body.functional.weights.items():
         assert np.array_equal(again.functional.weights[name], weight)
+
+
+# -- what is read is not believed -------------------------------------------------------------
+
+
+def rewritten(path, change):
+    """The entry with other arrays, whole and with a right checksum."""
+    arrays, note = read_part(path)
+    change(arrays)
+    write_part(path, arrays, note)
+
+
+def scaled(pattern, factor=1.5):
+    def change(arrays):
+        names = [name for name in arrays if pattern in name and arrays[name].dtype.kind == "f"]
+        assert names
+        arrays.update({name: factor * arrays[name] for name in names})
+
+    return change
+
+
+def without(name):
+    return lambda arrays: arrays.pop(name)
+
+
+def put(name, values):
+    return lambda arrays: arrays.update({name: np.asarray(values)})
+
+
+BODY_CHANGES = {
+    "all": scaled(""),
+    "law": scaled("model_linear"),
+    "quadratic": scaled("model_quadratic"),
+    "resistance": scaled("model_resistance"),
+    "weights": scaled("weight_", 1.001),
+    "nan": put("model_linear", np.nan),
+    "missing": without("model_cubic"),
+    "no scheme": without("scheme"),
+    "shape": put("model_cubic", np.zeros((2, 2))),
+    "type": put("model_linear", "two"),
+    "other body": put("model_aspect_ratio", 0.4),
+}
+ROWS_CHANGES = {
+    "all": scaled(""),
+    "a little": scaled("double", 1.0 + 1e-5),
+    "nan": scaled("single", np.nan),
+    "missing": without("single"),
+    "shape": lambda arrays: arrays.update(double=arrays["double"][:1]),
+    "type": lambda arrays: arrays.update(double=arrays["double"].astype(np.float32)),
+}
+MOTION = {
+    "body": {"aspect_ratio": 0.5, "stokes_number": 1},
+    "flow": {"type": "plane_poiseuille", "half_width": 20},
+    "start": {"position": [0, 0.3, 0]},
+    "time": {"end": 1, "samples": 3},
+    "hydrodynamics": {"tolerance": 1e-6},
+}
+
+
+@pytest.fixture(scope="module")
+def entries(tmp_path_factory):
+    """A folder with a body and an operator, and the numbers that they give."""
+    folder, found = tmp_path_factory.mktemp("kept"), {}
+    for kind, solve in (("body", "functional"), ("operator", "every_step")):
+        case = {**MOTION, "hydrodynamics": {"tolerance": 1e-6, "solve": solve}}
+        case["hydrodynamics"]["cache"] = str(folder)
+        found[kind] = case, qs.run(case).axis
+    return folder, found
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [("body", name) for name in BODY_CHANGES]
+    + [
+        pytest.param("operator", name, marks=() if name == "all" else pytest.mark.slow)
+        for name in ROWS_CHANGES
+    ],
+)
+def test_wrong_numbers_are_computed_anew(entries, tmp_path, kind, change):
+    """A whole entry with a right checksum and wrong arrays changes no result."""
+    folder, found = entries
+    case, axis = found[kind]
+    shutil.copytree(folder, tmp_path / "kept")
+    for path in (tmp_path / "kept").glob(f"{kind}-*"):
+        rewritten(path, (BODY_CHANGES if kind == "body" else ROWS_CHANGES)[change])
+    case = {**case, "hydrodynamics": {**case["hydrodynamics"], "cache": str(tmp_path / "kept")}}
+    result = qs.run(case)
+    np.testing.assert_array_equal(result.axis, axis)
+    problems = result.summary["cache_problems"]
+    assert any(f"{kind}-" in text and "computed anew" in text for text in problems), problems
+    assert len(qs.run(case).summary["cache_problems"]) == 0  # mended
+
+
+@pytest.mark.parametrize("name", ["numbers", "profile_1", "error_parts"])
+def test_a_stresslet_is_not_believed_either(tmp_path, name):
+    body, workshop = qs.Body(0.5, tolerance=1e-4), Workshop(cache=Cache(tmp_path))
+    right = form_stresslet(body, workshop)
+    assert form_stresslet(body, workshop).numbers.tolist() == right.numbers.tolist()
+    rewritten(entry(tmp_path), scaled(name, np.nan if name == "error_parts" else 1.5))
+    assert form_stresslet(body, workshop).numbers.tolist() == right.numbers.tolist()
+    assert "computed anew" in workshop.cache.problems[0]
+
+
+def test_a_sweep_says_what_it_does_not_believe(entries, tmp_path, capsys):
+    case, _ = entries[1]["body"]
+    shutil.copytree(entries[0], tmp_path / "kept")
+    case = {**case, "hydrodynamics": {"tolerance": 1e-6, "cache": str(tmp_path / "kept")}}
+    axes = {"start.position[1]": [0.3, 0.4]}
+    whole = qs.sweep(case, axes)
+    assert "cache" not in capsys.readouterr().err
+    for path in (tmp_path / "kept").glob("body-*"):
+        rewritten(path, scaled(""))
+    np.testing.assert_array_equal(qs.sweep(case, axes).axis, whole.axis)
+    assert "computed anew" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("k", [0.02, 0.1, 0.5, 1.0, 3.0, 50.0])
+@pytest.mark.parametrize("section", [{"tolerance": 1e-2}, {}, {"n_theta": 6}], ids=str)
+def test_nothing_right_is_doubted(tmp_path, k, section):
+    """Bodies that are coarse, thin or flat are found again."""
+    body = qs.Body(k, tolerance=section.get("tolerance", 1e-10))
+    case = {
+        **MOTION,
+        "body": {"aspect_ratio": k, "stokes_number": 1},
+        "flow": {"type": "shear"},
+        "time": {"end": 0.01, "samples": 2},
+        "hydrodynamics": {**section, "cache": str(tmp_path)},
+        "compare": {"reference": "none"},
+    }
+    assert body.shape.aspect_ratio == k
+    qs.run(case)
+    again = qs.run(case)
+    assert again.summary["hydrodynamics"]["cache"] == "found"
+    assert len(again.summary["cache_problems"]) == 0
+
+
+def test_what_others_may_have_written_is_not_used(tmp_path):
+    kept = Cache(tmp_path)
+    kept.store("body", KEY, ARRAYS)
+    path = entry(tmp_path)
+    for make, told in (
+        (lambda: path.chmod(0o666), "others may write it"),
+        (lambda: path.unlink() or os.mkfifo(path), "not a file"),
+        (lambda: path.unlink() or path.symlink_to("/etc/hostname"), "not a file"),
+    ):
+        make()
+        again = Cache(tmp_path)
+        assert again.load("body", KEY) is None
+        assert told in again.problems[0]
+    again.store("body", KEY, ARRAYS)
+    assert Cache(tmp_path).load("body", KEY) is not None
+    if os.geteuid() == 0:
+        os.chown(path, 12345, -1)
+        again = Cache(tmp_path)
+        assert again.load("body", KEY) is None
+        assert "belongs to another user" in again.problems[0]

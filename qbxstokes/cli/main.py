@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from qbxstokes import __version__
-from qbxstokes.errors import CaseError, QbxStokesError
+from qbxstokes.errors import CaseError, OutputError, QbxStokesError
 
 USAGE = """\
 usage: python -m qbxstokes CASE.yaml [options] [-petsc_option value ...]
@@ -125,13 +125,15 @@ def run_command(arguments: Sequence[str]) -> int:
         if arguments and arguments[0] in ("plot", "animate"):
             from qbxstokes.cli.pictures import picture_command
 
-            return picture_command(arguments[0], arguments[1:])
+            status = picture_command(arguments[0], arguments[1:])
+            sys.stdout.flush()
+            return status
         options = _parse(own)
         if options.version:
-            print(f"qbxstokes {__version__}")
+            print(f"qbxstokes {__version__}", flush=True)
             return 0
         if options.help:
-            print(USAGE, end="")
+            print(USAGE, end="", flush=True)
             return 0
         if not options.words:
             hint = ""
@@ -142,7 +144,9 @@ def run_command(arguments: Sequence[str]) -> int:
         if command is not None:
             if petsc:
                 raise CaseError(f"command line: {petsc[0]}: unknown option of {options.words[0]}")
-            return command(options, options.words[1:])
+            status = command(options, options.words[1:])
+            sys.stdout.flush()
+            return status
         if len(options.words) > 1:
             first, commands = options.words[0], (*_COMMANDS, "plot", "animate")
             if Path(first).suffix in (".yaml", ".yml"):
@@ -157,13 +161,23 @@ def run_command(arguments: Sequence[str]) -> int:
             )
     except QbxStokesError as error:
         return _fail(error)
-    except BrokenPipeError:
-        # Whoever read our output has stopped; keep the interpreter from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except OSError as error:
+        return _output_lost(error)
     from qbxstokes.runs.command import run_case
 
     return run_case(Path(options.words[0]), options, petsc)
+
+
+def _output_lost(error: OSError) -> int:
+    """The exit status where standard output has failed; the error again where it names a file."""
+    if error.filename is not None:
+        raise error
+    # Keep the interpreter from complaining at exit.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):  # whoever read it has stopped
+        return 0
+    told = f"qbxstokes: standard output: cannot be written ({error.strerror})"
+    return _fail(OutputError(told))
 
 
 def _fail(error: QbxStokesError) -> int:

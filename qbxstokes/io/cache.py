@@ -3,8 +3,9 @@
 One entry is one file (`io.store`) named after the hash of its key. The key holds everything that
 determines the arrays: body, scheme, what was solved, and a fingerprint of the sources that compute
 them; so an entry never has to be invalidated, only found or not. Entries appear whole or not at
-all, whatever other ranks and processes do. An entry that cannot be read, or that holds another key
-than its name promises, is told in `problems` and counts as missing.
+all, whatever other ranks and processes do. An entry is not believed: one that cannot be read, that
+holds another key than its name promises, that others than its user could have written, or whose
+arrays fail the check of whoever asks for them, is told in `problems` and counts as missing.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import stat
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.io.store import DamagedPart, read_part, write_part
 
+Arrays = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 2
 ENVIRONMENT = "QBXSTOKES_CACHE"
 # Packages whose sources determine the arrays.
@@ -81,21 +84,28 @@ class Cache:
         self.found = 0
         self.stored = 0
 
-    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """The arrays kept under this key, None if there are none or they are damaged."""
+    def load(
+        self, kind: str, key: Mapping[str, Any], fault: Callable[[Arrays], str] = lambda _: ""
+    ) -> dict[str, NDArray[Any]] | None:
+        """The arrays kept under this key, None if there are none or they are not to be used.
+
+        fault: says what is wrong with the arrays, '' where nothing is.
+        """
         if self.folder is None:
             return None
         text = _text(kind, key)
         path = self._path(kind, text)
         try:
-            arrays, note = read_part(path)
+            arrays, note = _own_part(path)
+            wrong = fault(arrays)
+            if note.get(_KEY) != text:
+                wrong = "not the entry that its name promises"
         except FileNotFoundError:
             return None
         except (OSError, DamagedPart) as error:
-            self.problems.append(f"{path}: unreadable ({error}); computed anew")
-            return None
-        if note.get(_KEY) != text:
-            self.problems.append(f"{path}: not the entry that its name promises; computed anew")
+            wrong = f"unreadable ({error})"
+        if wrong:
+            self.problems.append(f"{path}: {wrong}; computed anew")
             return None
         self.found += 1
         return arrays
@@ -118,6 +128,18 @@ class Cache:
         return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.h5"
 
 
+def _own_part(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """What a file holds that its user alone could have written; raises DamagedPart, OSError."""
+    told = os.lstat(path)
+    if not stat.S_ISREG(told.st_mode):
+        raise DamagedPart("not a file")
+    if hasattr(os, "geteuid") and told.st_uid != os.geteuid():
+        raise DamagedPart("it belongs to another user")
+    if told.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise DamagedPart("others may write it")
+    return read_part(path)
+
+
 def open_cache(named: str | None, off: bool = False) -> Cache:
     """The cache of a run: a named folder, else that of QBXSTOKES_CACHE or of the user."""
     return Cache(None if off else Path(named).expanduser() if named else default_folder())
@@ -133,11 +155,13 @@ class SharedCache(Cache):
         super().__init__(folder)
         self.entries: dict[str, dict[str, NDArray[Any]]] = {}
 
-    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+    def load(
+        self, kind: str, key: Mapping[str, Any], fault: Callable[[Arrays], str] = lambda _: ""
+    ) -> dict[str, NDArray[Any]] | None:
         """The arrays kept under this key, from memory if they are there."""
         text = _text(kind, key)
         if text not in self.entries:
-            arrays = super().load(kind, key)
+            arrays = super().load(kind, key, fault)
             if arrays is None:
                 return None
             self.entries[text] = arrays

@@ -52,6 +52,12 @@ def create(
             placed_dataset(inner, quantity, whole, _TYPES.get(quantity, _NUMBER), about)
 
 
+def bytes_per_point(names: Sequence[str]) -> int:
+    """What a point with the quantities takes."""
+    numbers = sum(_ARRAYS[name].size for name in ("points", *names))
+    return _NUMBER.itemsize * numbers + sum(kind.itemsize for kind in _TYPES.values())
+
+
 def put_rows(inner: h5py.Group, index: int, begin: int, rows: Mapping[str, Array]) -> None:
     """Write a piece of points and quantities of a set at an instant."""
     for quantity, values in rows.items():

@@ -268,6 +268,8 @@ def load(path: str | Path) -> Result:
             groups = {name: read_tree(file[name]) for name in file if name not in items}
             attributes = {name: _told(item) for name, item in items.items()}
             if header["task"] == "sweep":  # its datasets are read later, by name
+                if "status" not in (items["table"].dtype.names or ()):
+                    raise ResultFileError(f"{path}: is damaged: its table is not one of a sweep")
                 _look_for_parts(path, groups.get(PARTS, {}))
                 lazy = LazyArrays(path, {name: item.shape for name, item in items.items()})
                 return SweepResult(path, header, lazy, attributes, groups)

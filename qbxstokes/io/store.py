@@ -278,6 +278,20 @@ def holds_work(folder: Path) -> bool:
     return told is not None and not told["finished"] and work
 
 
+def check_disk(target: Path, needed: float, what: str, right: str) -> None:
+    """Refuse what the disk cannot hold before anything is computed; raises OutputError.
+
+    needed: bytes in all, of which the parts of an unfinished run have theirs.
+    """
+    folder, parts = target.parent, parts_of(target)
+    there = parts.glob("*-*.h5") if holds_work(parts) else ()
+    held = sum(path.stat().st_size for path in there)
+    free = shutil.disk_usage(folder).free
+    if free < needed - held:
+        size, room = f"{needed / 1e6:.3g} MB", f"{free / 1e6:.3g} MB"
+        raise OutputError(f"{folder}: {room} are free, and {what} needs {size}, {right}")
+
+
 def open_work(
     asked: Path, identity: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
 ) -> Work:

@@ -18,7 +18,6 @@ part that is missing; the group `parts` says which there must be, and `io.result
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,9 +28,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import OutputError, ResultFileError
+from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
 from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
+from qbxstokes.io.store import check_disk
 from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity
 
 if TYPE_CHECKING:
@@ -137,15 +137,16 @@ def create(
     return whole
 
 
-def check_room(folder: Path, layout: Layout, merge: bool) -> None:
+def check_room(target: Path, layout: Layout, merge: bool) -> None:
     """Refuse a sweep that the disk cannot hold, parts and merged result; raises OutputError."""
-    free, needed = shutil.disk_usage(folder).free, (1 + merge) * layout.bytes
-    if free < needed:
-        half = "half of them while it runs; make room, output.merge: false, or store: summary"
-        raise OutputError(
-            f"{folder}: {free / 1e6:.3g} MB are free, and the sweep needs {needed / 1e6:.3g} MB"
-            + (f", {half}" if merge else "; make room, or store: summary")
-        )
+    check_disk(
+        target,
+        (1 + merge) * layout.bytes,
+        "the sweep",
+        "half of them while it runs; make room, output.merge: false, or store: summary"
+        if merge
+        else "make room, or store: summary",
+    )
 
 
 def _relative(part: Path) -> str:

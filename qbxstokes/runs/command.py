@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.runs.interrupt import Interruption
-from qbxstokes.runs.parallel import guarded, missing_message, on_root, world
+from qbxstokes.runs.parallel import guarded, missing_message, on_root, say, world
 from qbxstokes.runs.progress import Clock
 
 if TYPE_CHECKING:
@@ -54,9 +54,9 @@ class Job:
         if self.comm.rank == 0 and self.options.json:
             from qbxstokes.case.document import plain
 
-            print(json.dumps(plain(data), indent=2))
+            say(json.dumps(plain(data), indent=2))
         elif self.comm.rank == 0 and not self.options.quiet:
-            print(text())
+            say(text())
 
     def conclude(self, summary: dict[str, Any], text: Callable[[], str]) -> None:
         """Tell the summary of rank 0, now with the times and the options that nothing has used."""

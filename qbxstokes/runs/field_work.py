@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.field import INSIDE, SOURCES, FlowAround
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
-from qbxstokes.io.store import Work
+from qbxstokes.io.store import Work, check_disk
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
@@ -167,7 +167,11 @@ class FieldWork:
                 whole[task.kind, place] = arrays
 
     def _finished(self) -> list[int]:
-        """Numbers of the tasks that parts of earlier runs hold."""
+        """Numbers of the tasks that parts of earlier runs hold; raises OutputError (disk)."""
+        sizes = store.bytes_per_point(self.section.quantities)
+        needed = 2.0 * sizes * sum(target.size for target in self.targets) * len(self.instants)
+        right = "half of them while it runs; make room, or fewer points"
+        check_disk(self._gathering.work.target, needed, "the field", right)
         kept = notes(self._gathering.work, FIELD)
         return [note["number"] for note in kept if note["key"] == self._key]
 

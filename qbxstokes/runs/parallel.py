@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from qbxstokes.errors import QbxStokesError
+from qbxstokes.errors import OutputError, QbxStokesError
 from qbxstokes.petsc.launch import starting_mpi
 
 T = TypeVar("T")
@@ -88,7 +88,7 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
         status = 128 + number
     except Exception as error:
         status = 1
-        told = petsc_message(error) or missing_message(error)
+        told = petsc_message(error) or missing_message(error) or memory_message(error)
         text = f"qbxstokes: {told}\n" if told else traceback.format_exc()
         if comm.size > 1:
             text = "".join(f"rank {comm.rank}: {line}\n" for line in text.splitlines())
@@ -111,10 +111,28 @@ def missing_message(error: Exception) -> str:
     )
 
 
+def memory_message(error: Exception) -> str:
+    """One line where memory does not suffice, '' for any other error."""
+    if not isinstance(error, MemoryError):
+        return ""
+    return f"out of memory ({error or 'the system gives no more'}); what was finished is kept"
+
+
 def tell(error: QbxStokesError) -> None:
     """The error as one line on standard error; bad input starts with its file and line."""
     prefix = "" if error.exit_status == 2 else "qbxstokes: "
     print(f"{prefix}{error}", file=sys.stderr, flush=True)
+
+
+def say(text: str) -> None:
+    """Print at once, to nobody where a pipe is closed; raises OutputError if it cannot be done."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        # What is kept for a later attempt would make the interpreter complain at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise OutputError(f"standard output: cannot be written ({error.strerror})") from None
 
 
 def petsc_message(error: Exception) -> str:

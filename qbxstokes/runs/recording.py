@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.names import told_by
-from qbxstokes.io.store import DamagedPart, open_work, read_part
+from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
@@ -76,6 +76,8 @@ class Recording:
             self.finished = finished_result(loaded, self.identity)
             if self.finished is not None:
                 return
+        right = "half of them while it runs; make room, or fewer samples"
+        check_disk(asked, 2.0 * plan.bytes_on_disk, "the motion", right)
         self.work = open_work(asked, self.identity, resume=resume, overwrite=overwrite)
         if self.work.resumed:
             self._reopen()

@@ -42,6 +42,8 @@ _SINGLE = {
 }
 # What one block may hold in memory while its quantities are computed (bytes).
 BLOCK_BYTES = 64 * 2**20
+# Blocks that a rank can hold the order of, and what each costs.
+MOST_BLOCKS = 10_000_000
 # Numbers held per sample of a trajectory: its state and the quantities, with copies under way.
 _NUMBERS_PER_SAMPLE = 100
 
@@ -107,7 +109,12 @@ class Scenes:
     @property
     def blocks(self) -> int:
         """Number of blocks."""
-        return int(self._first_block[-1]) + len(self._gathered)
+        count = int(self._first_block[-1]) + len(self._gathered)
+        if count > MOST_BLOCKS:
+            wrong = f"has {self.space.size:g} trajectories in {count:g} blocks"
+            right = f"at most {MOST_BLOCKS:g} blocks: several sweeps"
+            raise self.loaded.error("sweep", wrong, right)
+        return count
 
     @cached_property
     def sizes(self) -> Indices:
@@ -184,7 +191,8 @@ class Scenes:
         ]
         local = np.unravel_index(np.arange(start, stop), tuple(len(points) for points in chosen))
         points = tuple(
-            np.asarray(list_of[where]) for list_of, where in zip(chosen, local, strict=True)
+            where if isinstance(list_of, range) else list_of[where]
+            for list_of, where in zip(chosen, local, strict=True)
         )
         return np.asarray(np.ravel_multi_index(points, self.space.shape), dtype=np.int64)
 

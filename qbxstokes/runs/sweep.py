@@ -65,13 +65,13 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
     from qbxstokes.runs.sweep_report import plan_text
 
     scenes = swept_scenes(loaded)
-    layout = layout_of(scenes)
+    blocks, layout = scenes.blocks, layout_of(scenes)
     cost = estimate(scenes, layout.row_bytes)
     return {
         "trajectories": scenes.space.size,
         "shape": scenes.space.shape,
         "scenes": scenes.size,
-        "blocks": scenes.blocks,
+        "blocks": blocks,
         "operators": cost.bodies or scenes.space.size,
         "bytes_on_disk": layout.bytes,
         "memory_per_rank": cost.memory,
@@ -178,14 +178,13 @@ class Opening:
         """The folder for the other ranks, what is to be done, and a result without failures."""
         asked, resume = result_path(self._scenes.loaded), self._resume
         check_writable(asked, self.overwrite)
+        store.check_room(asked, self._layout, self._scenes.loaded.case.output.merge)
         done = None
         if resume and not self.overwrite:
             done = finished_result(self._scenes.loaded, self._identity)
         if done is None:
             work = open_work(asked, self._identity, resume=resume, overwrite=self.overwrite)
-            if work.mends:
-                self.base = work.target
-            todo = todo_of(self._scenes, work, self.failures() if self.base else None)
+            self.base = work.target if work.mends else None
         elif shows_parts(done):  # its parts are all there is: what they lack is to be done
             todo = todo_of(self._scenes, Work(done, {}, 2), None)
             if not todo.numbers and not self._scenes.loaded.case.output.merge:
@@ -200,8 +199,8 @@ class Opening:
             work.mends = True
         self.work = work
         try:
+            todo = todo_of(self._scenes, work, self.failures() if self.base else None)
             todo.merges = self.base is not None or self._scenes.loaded.case.output.merge
-            store.check_room(work.target.parent, self._layout, todo.merges)
             work.note_run()
         except BaseException:
             self.close()

@@ -134,9 +134,13 @@ def form_models(
         except QbxStokesError as error:
             models.errors[number] = error
     counters.wait()
-    for entries, errors in comm.allgather((models.cache.entries, models.errors)):
-        models.cache.receive(entries)
+    cache = models.cache
+    for entries, errors, problems in comm.allgather((cache.entries, models.errors, cache.problems)):
+        cache.receive(entries)
         models.errors.update(errors)
+        if comm.rank == 0:
+            for problem in problems:
+                print(f"qbxstokes: cache: {problem}", file=sys.stderr, flush=True)
     return models
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,13 +18,14 @@ from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.shape import Revolution
+from qbxstokes.geometry.shape import Revolution, Shape
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
     UniformScheme,
     independent_rows,
     layer_rows,
+    rigid_defects,
 )
 
 Array = NDArray[np.float64]
@@ -33,6 +35,10 @@ _SOLVE_MARGIN = 1e-2
 _TIGHTEST_SOLVE = 1e-14
 # Share of the tolerance that the grid of a flow that is not polynomial may take.
 _FLOW_SHARE = 0.1
+
+
+# What is wrong with arrays that were kept, in words; '' where nothing is.
+Fault = Callable[[Mapping[str, NDArray[Any]]], str]
 
 
 class Store(Protocol):
@@ -46,8 +52,10 @@ class Store(Protocol):
     def problems(self) -> list[str]:
         """What was found and could not be used."""
 
-    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """What was stored under the key, if anything was."""
+    def load(
+        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
+    ) -> dict[str, NDArray[Any]] | None:
+        """What was stored under the key, if anything was in which there is no fault."""
 
     def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep arrays under a key."""
@@ -61,7 +69,9 @@ class Nowhere:
     def __init__(self) -> None:
         self.problems: list[str] = []
 
-    def load(self, kind: str, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+    def load(
+        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
+    ) -> dict[str, NDArray[Any]] | None:
         """Nothing."""
         return None
 
@@ -148,10 +158,11 @@ def form_body(
         "residual": residual,
         "preconditioner": section.preconditioner,
     }
-    arrays = cache.load("body", key)
+    fault = partial(_fault_of_body, shape, degree)
+    arrays = cache.load("body", key, fault)
     if arrays is None and completion is None:
         # A body with its resistance serves as well: whether there is one changes no output.
-        arrays = cache.load("body", {**key, "completion": "surface"})
+        arrays = cache.load("body", {**key, "completion": "surface"}, fault)
         if arrays is not None:
             del arrays["model_resistance"]
     if arrays is not None:
@@ -169,6 +180,50 @@ def form_body(
     )
     cache.store("body", key, body.to_arrays())
     return body, solvers
+
+
+def _fault_of_body(shape: Shape, degree: int, arrays: Mapping[str, Any]) -> str:
+    """What is wrong with a body that was kept: it must follow rigid motions of the fluid.
+
+    Its numbers are those of the closed forms, where its shape has them, within many times the error
+    that it states.
+    """
+    from qbxstokes.simulation.exact import true_error
+
+    try:
+        body = AccurateBody.from_arrays(arrays)
+        grid = body.functional.on_grid(4)
+        identity = np.einsum("anj,bnj->ab", grid.weights, _rigid_motions(grid.points))
+        missed = float(np.abs(identity - np.eye(6)).max())
+        numbers = [v for v in arrays.values() if np.asarray(v).dtype.kind == "f"]
+        finite = all(np.isfinite(values).all() for values in numbers)
+        same = body.model.shape == shape
+        wrong = np.nan_to_num(true_error(body.model, degree)) if finite and same else np.inf
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        return f"does not hold a body ({' '.join(str(error).split())})"
+    bound = max(30.0 * body.model.error_estimate, 1e-8)
+    return "" if missed <= bound and wrong <= bound else "does not hold the numbers of this body"
+
+
+def _rigid_motions(points: Array) -> Array:
+    """Unit translations and rotations (6, N, 3) at points (N, 3)."""
+    turns = np.cross(np.eye(3)[:, None], points)
+    return np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns])
+
+
+def _fault_of_rows(
+    shape: Revolution, scheme: Scheme, shapes: Sequence[tuple[int, ...]], arrays: Mapping[str, Any]
+) -> str:
+    """What is wrong with kept rows of the layers: D psi = 4 pi psi for rigid motions psi."""
+    found = [arrays[name] for name in ("double", "single") if name in arrays]
+    if [rows.shape for rows in found] != list(shapes) or any(rows.dtype != float for rows in found):
+        return "does not hold rows of this operator"
+    wanted = independent_rows(shape, scheme.n_theta)
+    missed = np.abs(rigid_defects(scheme.grid(shape, 1), wanted, found[0])).max()
+    # The uniform scheme has errors of its own, which it is there to show.
+    bound = 1e-6 if isinstance(scheme, GradedScheme) else 1.0
+    good = missed <= bound * (1.0 + 4.0 * np.pi) and np.isfinite(found[1]).all()
+    return "" if good else "does not hold the numbers of this operator"
 
 
 def solver_factory(section: Hydrodynamics, solvers: list[Any]) -> Callable[[Any, Any], Any]:
@@ -262,9 +317,12 @@ class Former:
             "single": spread,
         }
         cache = self._workshop.cache
-        arrays = cache.load("operator", key)
+        wanted = independent_rows(self._shape, scheme.n_theta)
+        shape = (len(wanted), n_modes, 3, 3, scheme.n_theta)
+        shapes = [shape, shape if spread else (len(wanted), 0, 3, 3, scheme.n_theta)]
+        fault = partial(_fault_of_rows, self._shape, scheme, shapes)
+        arrays = cache.load("operator", key, fault)
         if arrays is None:
-            wanted = independent_rows(self._shape, scheme.n_theta)
             rows = self._workshop.form_rows(self._shape, scheme, n_modes, wanted, spread)
             cache.store("operator", key, {"double": rows[0], "single": rows[1]})
         else:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,13 +14,11 @@ from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stresslet
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.layout import POSITION
-from qbxstokes.motion.stress import (
-    components,
-    mean_strain,
-    stresslets,
-    torque_stresslets,
-)
+from qbxstokes.motion.stress import components, mean_strain, stresslets, torque_stresslets
+from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.simulation.hydrodynamics import (
     Workshop,
     explicit_scheme,
@@ -55,9 +54,10 @@ def form_stresslet(
         "residual": solver_tolerance(section),
         "preconditioner": section.preconditioner,
     }
-    arrays = workshop.cache.load("stresslet", key)
+    grid = scheme.grid(shape, N_PHI)
+    arrays = workshop.cache.load("stresslet", key, partial(_fault, grid))
     if arrays is not None:
-        return Stresslet.from_arrays(scheme.grid(shape, N_PHI), arrays)
+        return Stresslet.from_arrays(grid, arrays)
     found = accurate_stresslet(
         shape,
         section.tolerance,
@@ -70,6 +70,21 @@ def form_stresslet(
     if found.functional.grid.n_theta == scheme.n_theta:
         workshop.cache.store("stresslet", key, found.to_arrays())
     return found
+
+
+def _fault(grid: SurfaceGrid, arrays: Mapping[str, Any]) -> str:
+    """What is wrong with a stresslet that was kept: its functional and the closed forms agree."""
+    try:
+        kept = Stresslet.from_arrays(grid, arrays)
+        acting = kept.functional.numbers()
+        known = kept.numbers
+        if isinstance(grid.shape, Spheroid):
+            known = np.array(stresslet_numbers(grid.shape.aspect_ratio))
+        missed = float(np.abs(np.stack([acting, kept.numbers]) / known - 1.0).max())
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        return f"does not hold a stresslet ({' '.join(str(error).split())})"
+    good = missed <= max(30.0 * kept.error_estimate, 1e-8)
+    return "" if good else "does not hold the stresslet of this body"
 
 
 class FreeStress:
