@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -234,7 +235,7 @@ BODY_CHANGES = {
     "no scheme": without("scheme"),
     "shape": put("model_cubic", np.zeros((2, 2))),
     "type": put("model_linear", "two"),
-    "other body": put("model_aspect_ratio", 0.4),
+    "other body": put("model_shape", json.dumps(Spheroid(0.4).spec())),
 }
 ROWS_CHANGES = {
     "all": scaled(""),
