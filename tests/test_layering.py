@@ -21,7 +21,7 @@ ROOT = Path(qbxstokes.__file__).parent
 PACKAGE = "qbxstokes"
 
 LEVELS = (
-    {"geometry", "flows", "reference", "quantities"},
+    {"geometry", "flows", "reference", "quantities", "tables"},
     {"qbx"},
     {"bie"},
     {"motion"},
