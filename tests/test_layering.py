@@ -21,7 +21,7 @@ ROOT = Path(qbxstokes.__file__).parent
 PACKAGE = "qbxstokes"
 
 LEVELS = (
-    {"geometry", "flows", "reference", "quantities", "tables"},
+    {"geometry", "flows", "reference", "quantities", "tables", "expressions"},
     {"qbx"},
     {"bie"},
     {"motion"},
@@ -40,7 +40,7 @@ HOMES = {
     "petsc4py": {"petsc"},
     "mpi4py": {"petsc", "runs", "cli"},
     "yaml": {"case"},
-    "h5py": {"io"},
+    "h5py": {"io", "flows"},
     "matplotlib": {"plots"},
     "pandas": {"io"},
     "xarray": {"io"},

@@ -18,14 +18,13 @@ from qbxstokes.case.model import (
     several,
 )
 from qbxstokes.case.values import (
-    FUNCTIONS,
     Problem,
     describe,
-    expression_in_time,
     increasing,
     to_number,
     with_numbers,
 )
+from qbxstokes.expressions import FUNCTIONS, expression_in_time
 
 FREE, LOCKED, WITH_FLOW = "free", "locked", "with_flow"
 

@@ -216,6 +216,11 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
         path, separator, attribute = result["function"].rpartition(":")
         if separator:
             result["function"] = f"{Path(directory, path).resolve()}:{attribute}"
+    if isinstance(gradient := result.get("gradient"), str):
+        result["gradient"] = str(Path(directory, gradient).resolve())
+    elif isinstance(gradient, Mapping) and "file" in gradient:
+        file = str(Path(directory, str(gradient["file"])).resolve())
+        result["gradient"] = {**gradient, "file": file}
     if isinstance(result.get("terms"), list | tuple):
         result["terms"] = [
             resolve_paths(term, directory) if isinstance(term, Mapping) else term

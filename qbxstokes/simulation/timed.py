@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.values import expression_in_time
 from qbxstokes.errors import CaseError
+from qbxstokes.expressions import expression_in_time
 from qbxstokes.tables import read_table
 
 Array = NDArray[np.float64]
