@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import load_case as load_case
+    from qbxstokes.flows import GradientSeries as GradientSeries
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
     from qbxstokes.io.results import load as load
@@ -43,6 +44,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Body": "qbxstokes.simulation.body",
     "Constraints": "qbxstokes.motion.equations",
+    "GradientSeries": "qbxstokes.flows",
     "Loads": "qbxstokes.motion.equations",
     "Motion": "qbxstokes.simulation.result",
     "Simulation": "qbxstokes.simulation.simulation",

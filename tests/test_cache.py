@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io import cache as cache_module
 from qbxstokes.io.cache import Cache, default_folder
 from qbxstokes.io.store import read_part, write_part

@@ -18,15 +18,14 @@ from qbxstokes.case.model import (
     several,
 )
 from qbxstokes.case.values import (
-    FUNCTIONS,
     Problem,
     describe,
-    expression_in_time,
     increasing,
     to_number,
     with_numbers,
 )
 from qbxstokes.errors import SceneError
+from qbxstokes.expressions import FUNCTIONS, expression_in_time
 from qbxstokes.geometry.registry import build_shape
 
 FREE, LOCKED, WITH_FLOW = "free", "locked", "with_flow"

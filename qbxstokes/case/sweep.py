@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.document import ORIENTATION, assigned, parse_key
 from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, whole
 from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
+from qbxstokes.tables import TableError, read_table
 
 Array = NDArray[Any]
 
@@ -325,29 +326,18 @@ def _listed(name: Key, given: Sequence[Any]) -> Column:
 
 
 def _table(given: Any, folder: Path) -> list[Column]:
-    """Columns of a CSV file whose first line names the keys."""
-    import csv
-
+    """Columns of a file of rows (`tables`) whose first line names the keys."""
     if not isinstance(given, str):
         raise Problem(f"is {describe(given)}", "the name of a CSV file")
-    path = folder / given
     try:
-        header, *lines = path.read_text("utf-8-sig").splitlines() or [""]
-    except (OSError, ValueError) as error:
-        raise Problem(f"{path} cannot be read ({error})", "a CSV text file") from None
-    keys = [parse_key(name) for row in csv.reader([header]) for name in row]
+        table = read_table(folder / given, words=True)
+    except TableError as error:
+        raise Problem(str(error), "a CSV text file") from None
+    keys = [parse_key(name) for name in table.names]
     if not keys or ("",) in keys or len(set(keys)) != len(keys):
-        raise Problem(f"the first line of {path} names no distinct keys", "a header")
-    lines = [line for line in lines if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise Problem(f"{path} has no rows below its header", "at least one")
-    try:
-        numbers = np.loadtxt(lines, delimiter=",", ndmin=2)
-        columns = [np.ascontiguousarray(values) for values in numbers.T]
-        return [Column(*pair, size=len(numbers)) for pair in zip(keys, columns, strict=True)]
-    except ValueError:  # words or angles among them
-        rows = [[entry.strip() for entry in row] for row in csv.reader(lines)]
-    for index, row in enumerate(rows, start=1):
-        if len(row) != len(keys):
-            raise Problem(f"row {index} of {path} has {len(row)} entries", f"{len(keys)} entries")
-    return [_listed(keys[place], [row[place] for row in rows]) for place in range(len(keys))]
+        raise Problem(f"the first line of {table.path} names no distinct keys", "a header")
+    if table.words is None:
+        columns = [np.ascontiguousarray(values) for values in table.numbers.T]
+        rows = len(table.numbers)
+        return [Column(*pair, size=rows) for pair in zip(keys, columns, strict=True)]
+    return [_listed(name, [row[i] for row in table.words]) for i, name in enumerate(keys)]

@@ -19,6 +19,7 @@ from qbxstokes.flows.named import (
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
+from qbxstokes.flows.series import GradientSeries, LinearInTime
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths
@@ -27,7 +28,9 @@ __all__ = [
     "REGISTRY",
     "Extension",
     "Flow",
+    "GradientSeries",
     "Linear",
+    "LinearInTime",
     "Paraboloid",
     "PlanePoiseuille",
     "PolynomialFlow",

@@ -8,6 +8,7 @@ gradient is A[..., i, j] = du_i/dx_j. Everything is nondimensional (length c, ti
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -36,6 +37,7 @@ class Flow(ABC):
 
     type_name: ClassVar[str] = ""
     length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
+    spacing: float = math.inf  # of instants between which the flow changes smoothly
 
     @abstractmethod
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
@@ -213,6 +215,7 @@ class SumFlow(Flow):
     def __init__(self, terms: Sequence[Flow]) -> None:
         self.terms = tuple(terms)
         self.length = min(flow.length for flow in self.terms)
+        self.spacing = min(flow.spacing for flow in self.terms)
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:

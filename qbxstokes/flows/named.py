@@ -6,15 +6,18 @@ Directions are those of the space frame: the stream runs along e1 and varies alo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.values import Array, number, tensor
+from qbxstokes.flows.series import LinearInTime, in_time
+from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 _EXTENSIONS = {
     "uniaxial": (1.0, -0.5, -0.5),
@@ -38,6 +41,19 @@ class Linear(PolynomialFlow):
     """u = A x with a traceless gradient A[i, j] = du_i/dx_j."""
 
     type_name = "linear"
+
+    @classmethod
+    def keys(cls) -> dict[str, Any]:
+        """`gradient`, and `trajectory` of a series of several paths."""
+        return {**super().keys(), "trajectory": None}
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """A steady flow, or a `LinearInTime` where the gradient changes."""
+        if in_time(spec.get("gradient")):
+            return LinearInTime.from_spec(spec, build)
+        check_keys(spec, ["gradient"], cls.type_name)
+        return super().from_spec(spec, build)
 
     def __init__(self, gradient: ArrayLike) -> None:
         """Raises FlowError if the gradient has a trace."""

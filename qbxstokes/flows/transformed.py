@@ -32,7 +32,7 @@ class TransformedFlow(Flow):
         )
         self.position = tensor(position, "position", (3,))
         self.factor = number(factor, "factor")
-        self.length = flow.length
+        self.length, self.spacing = flow.length, flow.spacing
 
     @classmethod
     def keys(cls) -> dict[str, Any]:

@@ -215,7 +215,12 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
     if result.get("type") == UserFlow.type_name and isinstance(result.get("function"), str):
         path, separator, attribute = result["function"].rpartition(":")
         if separator:
-            result["function"] = f"{Path(directory, path).resolve()}:{attribute}"
+            result["function"] = f"{_absolute(directory, path)}:{attribute}"
+    if isinstance(gradient := result.get("gradient"), str):
+        result["gradient"] = _absolute(directory, gradient)
+    elif isinstance(gradient, Mapping) and "file" in gradient:
+        file = _absolute(directory, str(gradient["file"]))
+        result["gradient"] = {**gradient, "file": file}
     if isinstance(result.get("terms"), list | tuple):
         result["terms"] = [
             resolve_paths(term, directory) if isinstance(term, Mapping) else term
@@ -224,3 +229,11 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
     if isinstance(result.get("flow"), Mapping):
         result["flow"] = resolve_paths(result["flow"], directory)
     return result
+
+
+def _absolute(directory: str | Path, path: str) -> str:
+    """A path made absolute; one that no file can have stays, and is told as missing."""
+    try:
+        return str(Path(directory, path).resolve())
+    except (OSError, ValueError):
+        return path

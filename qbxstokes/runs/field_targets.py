@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.tables import TableError, read_table
 
 Array = NDArray[np.float64]
 
@@ -146,24 +146,10 @@ def _listed(loaded: LoadedCase, section: Points) -> Targets:
     path = loaded.path.parent / section.file
     key = ("field", "points", "file")
     try:
-        if path.suffix == ".npy":
-            # Not read as a whole: a list may be larger than memory.
-            points = np.load(path, mmap_mode="r", allow_pickle=False)
-        else:
-            points = _read_csv(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise loaded.error(key, f"{path}: cannot be read ({reason})", "a CSV or NPY file") from None
-    except ValueError as error:
-        raise loaded.error(
-            key, f"{path}: {error}", "three numbers a line, or an NPY array"
-        ) from None
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
-        raise loaded.error(
-            key, f"{path}: holds {points.dtype} of shape {points.shape}", "real numbers (N, 3)"
-        )
-    if not len(points):
-        raise loaded.error(key, f"{path}: holds no point", "three numbers a line")
+        points = read_table(path, columns=3).numbers  # a mapped list may be larger than memory
+    except TableError as error:
+        right = "three numbers a line, or an NPY array (N, 3)"
+        raise loaded.error(key, str(error), right) from None
     return Targets(
         "points",
         section.frame,
@@ -171,23 +157,3 @@ def _listed(loaded: LoadedCase, section: Points) -> Targets:
         lambda begin, end: np.asarray(points[begin:end], dtype=float),
         {},
     )
-
-
-def _read_csv(path: Path) -> Array:
-    """Three numbers a line, separated by commas or blanks; a first line of words is skipped."""
-    rows: list[list[float]] = []
-    with path.open(encoding="utf-8-sig") as stream:
-        for number, line in enumerate(stream, 1):
-            words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-            if not words:
-                continue
-            try:
-                row = [float(word) for word in words]
-            except ValueError:
-                if not rows and number == 1:
-                    continue
-                raise ValueError(f"line {number}: {line.strip()[:40]!r} is no number") from None
-            if len(row) != 3:
-                raise ValueError(f"line {number}: {len(row)} numbers")
-            rows.append(row)
-    return np.array(rows, dtype=float).reshape(-1, 3)

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import ConvergenceError, SceneError
+from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError, SceneError
+from qbxstokes.flows.check import check_stokesian
 from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
+from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
@@ -30,8 +32,11 @@ Indices = NDArray[np.intp]
 
 # What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
 Maker = Callable[["Simulation", Workshop], Hydrodynamic]
-# Steps at least over a run whose loads change in time, of which the start tells nothing.
-_STEPS_OF_LOADS = 50.0
+# Steps at least over a run whose flow or loads change in time, of which the start tells nothing.
+_STEPS_IN_TIME = 50.0
+# Instants at which such a flow is checked before the run, and steps between checks within it.
+_INSTANTS_CHECKED = 11
+_STEPS_BETWEEN_CHECKS = 10
 # Steps of a single lane between cuts, where a run can be resumed: a fraction of a second of work
 # or some seconds, by how the free motion is found; and samples at most.
 CUT_STEPS = {"table": 5000, "grid": 500, "every_step": 100}
@@ -86,6 +91,9 @@ class Assembled:
         from qbxstokes.petsc.stepper import integrate
 
         end = float(times[-1])
+        longest = self._longest_step(end)
+        if (observe := settings.get("observe")) is not None:
+            settings["observe"] = self._checked_along(observe)
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS[self.parts[0].kind]}
         if len(self.initial) > 1:  # lanes are kept in memory: a cut would only move their bits
             limits = {"chunk_samples": len(times) + 1, "chunk_steps": self._cut_steps}
@@ -94,9 +102,39 @@ class Assembled:
             self.initial if start is None else start,
             times,
             self.tolerance,
-            longest_step=None if self.equations.steady else end / _STEPS_OF_LOADS,
+            longest_step=longest,
             **{**limits, **settings},
         )
+
+    def _longest_step(self, end: float) -> float | None:
+        """Bound on the steps where something changes in time: the start tells nothing of it.
+
+        Raises SceneError for a flow that is not Stokesian at some instant of the run.
+        """
+        if self.steady and self.equations.steady:
+            return None
+        for part in self.parts:
+            if not part.flow.steady:
+                for t in np.linspace(0.0, end, _INSTANTS_CHECKED):
+                    _check_stokesian(part, part.position[0], float(t))
+        spacings = [part.flow.spacing for part in self.parts]
+        return float(min(end / _STEPS_IN_TIME, *spacings))
+
+    def _checked_along(self, observe: Callable[[Any], float | None]) -> Any:
+        """The observer of one lane, which looks at a user's flow where the body comes to."""
+        part, count = self.parts[0], 0
+        if part.flow.singular_points_known:
+            return observe
+
+        def watch(step: Any) -> float | None:
+            nonlocal count
+            count += 1
+            halt = observe(step)
+            if halt is None and count % _STEPS_BETWEEN_CHECKS == 0:
+                _check_stokesian(part, step.end[0, POSITION], step.after)
+            return halt
+
+        return watch
 
     @property
     def _cut_steps(self) -> int:
@@ -236,6 +274,20 @@ def assemble(
         assemble, workshop=workshop, t=t, checked=True, pushed=pushed, evaluation=evaluation
     )
     return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
+
+
+def _check_stokesian(part: Simulation, place: Array, t: float) -> None:
+    """Refuse a flow that is not Stokesian around a place at time t.
+
+    A function that fails is left to the equations, which tell when and where they needed it.
+    """
+    try:
+        check_stokesian(part.flow, place, radius=2.0 * part.body.shape.radius, t=t)
+    except FlowFunctionError:
+        return
+    except FlowError as error:
+        if part.flow.singular_points_known or "not Stokesian" in str(error):
+            raise SceneError("flow", f"at t = {t:.6g}: {error}") from None
 
 
 def _check_alike(parts: Sequence[Simulation]) -> None:

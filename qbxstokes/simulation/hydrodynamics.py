@@ -16,9 +16,10 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
-from qbxstokes.flows import Flow
+from qbxstokes.flows import Flow, LinearInTime
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
+from qbxstokes.motion.changing import ChangingMotion
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -262,6 +263,8 @@ class Former:
             return self._solve_motion(body, facts, solvers)
         if self._need.kind == "grid":
             return self._grid_motion(body, facts)
+        if isinstance(self._flow, LinearInTime):
+            return ChangingMotion(body.model, self._flow)
         return self._flow.polynomial
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:

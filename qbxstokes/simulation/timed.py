@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.values import expression_in_time
 from qbxstokes.errors import CaseError
+from qbxstokes.expressions import expression_in_time
+from qbxstokes.tables import read_table
 
 Array = NDArray[np.float64]
 Timed = ArrayLike | Callable[[float], ArrayLike]
@@ -66,22 +67,16 @@ def _user_function(name: str, folder: Path) -> Timed:
 def _read_table(value: dict[str, Any], folder: Path) -> tuple[Array, Array, str]:
     if "times" in value:
         return np.array(value["times"]), np.array(value["values"]), "the table"
-    path = Path(folder, value["table"])
-    try:
-        lines = path.read_text().splitlines()
-        rows = [line.replace(",", " ").split() for line in lines if line.split("#")[0].strip()]
-        numbers = np.array([[float(word) for word in row] for row in rows if row[0][0] not in "tT"])
-        if numbers.ndim != 2 or numbers.shape[1] != 4:
-            raise ValueError("four columns are expected: t and three components")
-        if not np.isfinite(numbers).all():
-            raise ValueError("a number is not finite")
-        if len(numbers) < 2 or np.any(np.diff(numbers[:, 0]) <= 0):
-            raise ValueError("two rows or more of increasing instants are expected")
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise CaseError(f"{path}: {error}") from None
-    return numbers[:, 0], numbers[:, 1:], str(path)
+    table = read_table(folder / value["table"], columns=4)  # t and three components
+    times = np.asarray(table.numbers[:, 0], dtype=np.float64)
+    if len(times) < 2:
+        raise CaseError(f"{table.path}: has one row; two or more are expected")
+    late = np.diff(times) <= 0.0
+    if np.any(late):
+        place = int(late.argmax()) + 1
+        where = f"line {table.lines[place]}" if table.lines else f"row {place + 1}"
+        raise CaseError(f"{table.path}: {where}, column 1: the instants must increase")
+    return times, np.asarray(table.numbers[:, 1:], dtype=np.float64), str(table.path)
 
 
 def _spline(times: Array, values: Array, name: str, end: float) -> Timed:

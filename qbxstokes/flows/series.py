@@ -1,0 +1,363 @@
+"""Linear flows whose gradient changes in time: functions, expressions and series of samples.
+
+Positions are relative to the tracer along which the gradients were taken: the flow is A(t) x.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qbxstokes.errors import FlowError
+from qbxstokes.expressions import expression_in_time
+from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.user import load_function
+from qbxstokes.flows.values import Array, check_keys, tensor
+from qbxstokes.tables import TableError, read_table
+
+INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each one takes
+OUTSIDE = "error", "clamp", "repeat"
+TRACES = "project", "error"
+_TRACE = 1e-12
+
+
+class GradientSeries:
+    """Velocity gradients A(t) from samples: times (T,), gradients (..., T, 3, 3) or (..., T, 9).
+
+    Leading axes are paths, each with gradients of its own at the same times. The nine components
+    are by rows, du1/dx1 du1/dx2 ...; eight leave out the last, which follows from div u = 0.
+    Samples keep their type (float32 is not copied); only their last axes are looked at here.
+
+    interpolation: "sextic", the polynomial through the six samples around an instant (its error
+    goes as spacing^6), "linear" or "hold" (the sample before it). trace: "project" takes a third of
+    the trace off the diagonal and `trace` tells its largest size relative to |A|; "error" refuses.
+    outside: "error" beyond the samples, "clamp" or "repeat" (the period is that of the samples).
+    """
+
+    def __init__(
+        self,
+        times: ArrayLike,
+        gradients: Any,
+        *,
+        interpolation: str = "sextic",
+        trace: str = "project",
+        outside: str = "error",
+    ) -> None:
+        t = np.asarray(times, dtype=np.float64)
+        a = gradients if hasattr(gradients, "shape") else np.asarray(gradients, dtype=np.float64)
+        for name, value, known in (
+            ("interpolation", interpolation, INTERPOLATIONS),
+            ("trace", trace, TRACES),
+            ("outside", outside, OUTSIDE),
+        ):
+            if value not in known:
+                raise FlowError(f"{name} is one of {', '.join(known)}, not {value!r}", (name,))
+        if isinstance(a, np.ndarray) and a.shape[-2:] == (3, 3):
+            a = a.reshape(*a.shape[:-2], 9)
+        if t.ndim != 1 or len(t) < 2 or np.any(np.diff(t) <= 0.0) or not np.isfinite(t).all():
+            raise FlowError("times of a series must be two or more finite, increasing instants")
+        if a.ndim < 2 or a.shape[-1] not in (8, 9) or a.shape[-2] != len(t):
+            right = f"(..., {len(t)}, 3, 3), (..., {len(t)}, 9) or (..., {len(t)}, 8)"
+            raise FlowError(f"gradients have shape {a.shape}; {right} is expected", ("gradient",))
+        if interpolation == "sextic" and len(t) < 6:
+            raise FlowError(
+                f"{len(t)} samples are too few for six points; interpolation: linear", ("gradient",)
+            )
+        self.times, self.samples = t, a
+        self.interpolation, self.trace_rule, self.outside = interpolation, trace, outside
+        self.trace = 0.0
+
+    @property
+    def paths(self) -> tuple[int, ...]:
+        """Shape of the leading axes."""
+        return tuple(self.samples.shape[:-2])
+
+    @property
+    def spacing(self) -> float:
+        """Least time between samples."""
+        return float(np.diff(self.times).min())
+
+    def __len__(self) -> int:
+        return math.prod(self.paths)
+
+    def path(self, number: int) -> GradientSeries:
+        """The series of one path, by its number in the order of the leading axes."""
+        if not 0 <= number < len(self):
+            raise FlowError(f"trajectory {number} of {len(self)}", ("trajectory",))
+        place = np.unravel_index(number, self.paths) if self.paths else ()
+        return self._with(self.times, self.samples[place])
+
+    def thinned(self) -> GradientSeries:
+        """The same of every other sample."""
+        return self._with(self.times[::2], self.samples[..., ::2, :])
+
+    def _with(self, times: Array, samples: Any) -> GradientSeries:
+        rules = {"interpolation": self.interpolation, "trace": self.trace_rule}
+        return GradientSeries(times, samples, outside=self.outside, **rules)
+
+    def read(self, first: int, stop: int) -> Array:
+        """Samples (stop - first, T, 9) of some paths, traceless; raises FlowError for NaN."""
+        whole = self.samples
+        if isinstance(whole, np.ndarray):
+            whole = whole.reshape(-1, *whole.shape[-2:])
+        a = np.array(whole[first:stop], dtype=np.float64)
+        if a.shape[-1] == 8:
+            a = np.concatenate([a, -(a[..., :1] + a[..., 4:5])], axis=-1)
+        if not np.isfinite(a).all():
+            path, sample, _ = np.argwhere(~np.isfinite(a))[0]
+            raise FlowError(f"path {first + path}, sample {sample} of the series is not finite")
+        third = (a[..., 0] + a[..., 4] + a[..., 8]) / 3.0
+        size = float(np.abs(a).max())
+        self.trace = max(self.trace, 3.0 * float(np.abs(third).max()) / size if size else 0.0)
+        if self.trace_rule == "error" and self.trace > _TRACE:
+            raise FlowError(f"the gradients have a trace, {self.trace:.3g} of their size")
+        a[..., (0, 4, 8)] -= third[..., None]
+        return a
+
+    def inside(self, t: float) -> float:
+        """The instant of the samples that stands for t; raises FlowError beyond them."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        if first <= t <= last:
+            return t
+        if self.outside == "clamp":
+            return min(max(t, first), last)
+        if self.outside == "repeat":
+            return first + (t - first) % (last - first)
+        raise FlowError(
+            f"t = {t:.6g} is outside the series, which covers {first:g} to {last:g}; "
+            "outside: clamp or repeat goes on",
+            ("outside",),
+        )
+
+    def function(self) -> Callable[[float], Array]:
+        """A(t) as a function, of a series of one path."""
+        if len(self) != 1:
+            raise FlowError(f"a series of {len(self)} paths; name a trajectory", ("trajectory",))
+        samples = np.asarray(self.read(0, 1)[0], dtype=np.float64)
+        count = INTERPOLATIONS[self.interpolation]
+
+        def gradient(t: float) -> Array:
+            at = self.inside(t)
+            first = window(self.times, at, count)
+            weights = lagrange(self.times[first : first + count], at)
+            return np.asarray(weights @ samples[first : first + count]).reshape(3, 3)
+
+        return gradient
+
+
+def window(times: Array, t: float, count: int) -> int:
+    """First of the `count` samples that an instant is interpolated from."""
+    interval = min(max(int(np.searchsorted(times, t, "right")) - 1, 0), len(times) - 2)
+    if count == 1 and t >= times[-1]:
+        interval = len(times) - 1
+    return min(max(interval - count // 2 + 1 - (count == 1), 0), len(times) - count)
+
+
+def lagrange(nodes: Array, t: float) -> Array:
+    """Weights of the samples at `nodes` for the polynomial through them, at t."""
+    weights = np.ones(len(nodes))
+    for i, node in enumerate(nodes):
+        for j, other in enumerate(nodes):
+            if i != j:
+                weights[i] *= (t - other) / (node - other)
+    return weights
+
+
+class LinearInTime(Flow):
+    """u = A(t) x with a traceless gradient that changes in time.
+
+    gradient: a function of t that returns (3, 3), three rows of numbers and expressions in t, or a
+    `GradientSeries` of one path.
+    """
+
+    type_name = "linear"
+
+    def __init__(self, gradient: Any, spec: Mapping[str, Any] | None = None) -> None:
+        self._spec = None if spec is None else dict(spec)
+        if isinstance(gradient, GradientSeries):
+            self.spacing = gradient.spacing
+            self._gradient = gradient.function()
+        elif callable(gradient):
+            self._gradient = gradient
+        else:
+            self._gradient = _of_expressions(gradient)
+            self._spec = self._spec or {"type": "linear", "gradient": gradient}
+        self.at(0.0)
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """From {"gradient": ...}: rows of expressions, a function, a series, or {"file": ...}."""
+        check_keys(spec, ["gradient", "trajectory"], cls.type_name)
+        gradient, chosen = spec["gradient"], spec.get("trajectory")
+        if isinstance(gradient, str):
+            gradient = load_function(gradient)
+        if isinstance(gradient, Mapping):
+            gradient = series_of_file(gradient)
+        if isinstance(gradient, GradientSeries) and chosen is not None:
+            gradient = gradient.path(int(chosen))
+        return cls(gradient, {"type": cls.type_name, **spec})
+
+    def at(self, t: float) -> Array:
+        """The gradient (3, 3) at time t; raises FlowError for what is none."""
+        try:
+            given = self._gradient(t)
+        except FlowError:
+            raise
+        except Exception as error:
+            wrong = f"raised {type(error).__name__} at t = {t:.6g}: {error}"
+            raise FlowError(f"the gradient {wrong}", ("gradient",)) from error
+        matrix = tensor(given, f"the gradient at t = {t:.6g}", (3, 3), ("gradient",))
+        trace = float(np.trace(matrix))
+        if abs(trace) > _TRACE * float(np.abs(matrix).max()):
+            raise FlowError(
+                f"the gradient has trace {trace:.6g} at t = {t:.6g} and must have none "
+                "(incompressible fluid)",
+                ("gradient",),
+            )
+        return matrix
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        result: Array = np.asarray(x, dtype=float) @ self.at(t).T
+        return result
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3)."""
+        return np.broadcast_to(self.at(t), (*np.shape(x), 3))
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Zero."""
+        return np.zeros(np.shape(x))
+
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
+        """Zero."""
+        return np.zeros(np.shape(x))
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Zero: that of a Stokes flow without inertia."""
+        return np.zeros(np.shape(x)[:-1])
+
+    @property
+    def degree(self) -> int:
+        """1."""
+        return 1
+
+    @property
+    def steady(self) -> bool:
+        """False."""
+        return False
+
+    def spec(self) -> dict[str, Any]:
+        """The specification, where it can be written down."""
+        return self._spec or {"type": self.type_name, "gradient": repr(self._gradient)}
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The flow moved."""
+        return TransformedFlow(self).shifted(displacement)
+
+    def rotated(self, rotation: ArrayLike) -> Flow:
+        """The flow turned: A becomes R A R^T."""
+        turn = tensor(rotation, "rotation", (3, 3))
+        return self._mapped(lambda a: turn @ a @ turn.T)
+
+    def scaled(self, factor: float) -> Flow:
+        """The flow times a number."""
+        return self._mapped(lambda a: factor * a)
+
+    def _mapped(self, change: Callable[[Array], Array]) -> Flow:
+        flow = LinearInTime(lambda t: change(self.at(t)))
+        flow.spacing = self.spacing
+        return flow
+
+
+def in_time(gradient: Any) -> bool:
+    """Whether what a case or a caller gives as a gradient changes in time."""
+    if callable(gradient) or isinstance(gradient, (GradientSeries, Mapping, str)):
+        return True
+    rows = gradient if isinstance(gradient, (list, tuple)) else ()
+    return any(isinstance(e, str) for row in rows if isinstance(row, (list, tuple)) for e in row)
+
+
+def _of_expressions(rows: Any) -> Callable[[float], Array]:
+    if len(rows) != 3 or any(len(row) != 3 for row in rows):
+        raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", ("gradient",))
+    parts = []
+    for i, row in enumerate(rows):
+        for j, entry in enumerate(row):
+            try:
+                parts.append(expression_in_time(str(entry)))
+            except ValueError as error:
+                key = ("gradient", i, j)
+                raise FlowError(f"gradient entry {entry!r}: {error}", key) from None
+    return lambda t: np.array([part(t) for part in parts]).reshape(3, 3)
+
+
+def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
+    """The series of {file, dataset, time, layout, interpolation, trace, outside}.
+
+    HDF5 and netCDF-4: datasets by name, gradients mapped as they come, `layout` the order of their
+    axes, [trajectory, time] or [time, trajectory] (that of one path needs none). CSV and NPY: rows
+    of t and eight or nine components, one path. Raises FlowError.
+    """
+    known = ["file", "dataset", "time", "layout", "interpolation", "trace", "outside"]
+    check_keys(given, known, "linear")
+    rules = {name: given[name] for name in known[4:] if name in given}
+    path = Path(str(given.get("file", "")))
+    if path.suffix in (".h5", ".hdf5", ".nc", ".nc4"):
+        times, samples = _of_hdf5(path, given)
+        return GradientSeries(times, samples, **rules)
+    try:
+        numbers = read_table(path).numbers
+    except TableError as error:
+        raise FlowError(str(error), ("gradient", "file")) from None
+    if numbers.shape[1] not in (9, 10):
+        wrong = f"{path}: has {numbers.shape[1]} columns; t and 8 or 9 components are expected"
+        raise FlowError(wrong, ("gradient", "file"))
+    return GradientSeries(numbers[:, 0], numbers[:, 1:], **rules)
+
+
+def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
+    import h5py
+
+    try:
+        file = h5py.File(path, "r")
+        data, times = file[given.get("dataset", "A")], file[given.get("time", "t")][:]
+    except (OSError, KeyError) as error:
+        raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
+    layout = list(given.get("layout", ["trajectory", "time"]))
+    if sorted(layout) != ["time", "trajectory"]:
+        right = "[trajectory, time] or [time, trajectory]"
+        raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
+    if data.shape[-2:] == (3, 3) and data.ndim > 2:  # small enough to hold, or by rows of nine
+        data = data[...].reshape(*data.shape[:-2], 9)
+    if data.ndim == 2:
+        return np.asarray(times, dtype=np.float64), data[...]
+    return np.asarray(times, dtype=np.float64), InFile(data, layout[0] == "time")
+
+
+class InFile:
+    """Samples (paths, T, components) of which parts are read as they are asked for."""
+
+    def __init__(self, data: Any, time_first: bool) -> None:
+        self._data, self._time_first = data, time_first
+        n, m, width = data.shape
+        self.shape = (m, n, width) if time_first else (n, m, width)
+        self.ndim, self.dtype = 3, data.dtype
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, tuple) and place[0] is Ellipsis:  # every other sample
+            return np.asarray(self[:])[place]
+        if isinstance(place, tuple):
+            return self[place[0]]
+        if not self._time_first:
+            return self._data[place]
+        part = self._data[:, place]
+        return np.swapaxes(part, 0, 1) if part.ndim == 3 else part

@@ -1,0 +1,124 @@
+"""Tables of numbers in files, read in one way wherever the program takes one.
+
+A text file holds one row a line: its entries are separated by commas, semicolons, tabs or blanks,
+whichever its first row shows; empty lines and what follows a # are left out, a byte order mark and
+quotes too. A first row in which not every entry is a number names the columns. A .npy file holds
+the array itself and is mapped, not read.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import CaseError
+
+SEPARATORS = ";", "\t", ","
+
+
+class TableError(CaseError):
+    """A file is no table of numbers: which file, which line and column, and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a file: `names` of the columns, () if it has none.
+
+    numbers: (rows, columns). words: the entries as they stand where some are no numbers, which only
+    `words=True` lets through; `numbers` is then empty. lines: the line of each row, from 1.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    numbers: NDArray[Any]
+    words: list[list[str]] | None
+    lines: list[int]
+
+
+def read_table(path: str | Path, columns: int | None = None, *, words: bool = False) -> Table:
+    """The table that a file holds; raises TableError.
+
+    columns: how many there have to be. words: entries may be other than numbers.
+    """
+    path = Path(path)
+    try:
+        if path.suffix == ".npy":
+            return _mapped(path, columns)
+        text = path.read_text("utf-8-sig")
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except ValueError as error:
+        raise TableError(f"{path}: is no table ({error})") from None
+    whole = [line.partition("#")[0].strip(" \r") for line in text.split("\n")]
+    lines = [number for number, line in enumerate(whole, 1) if line.strip()]
+    rows = [whole[number - 1] for number in lines]
+    if not rows:
+        raise TableError(f"{path}: holds no rows")
+    separator = next((mark for mark in SEPARATORS if mark in rows[0]), None)
+    first = _split(rows[0], separator)
+    names: tuple[str, ...] = ()
+    if not all(map(_is_number, first)):
+        names, rows, lines = tuple(first), rows[1:], lines[1:]
+        if not rows:
+            raise TableError(f"{path}: holds no rows below its header")
+    width = len(names) or columns or len(first)
+    if columns is not None and (len(names) or len(first)) != columns:
+        found = len(names) or len(first)
+        raise TableError(f"{path}: line {lines[0]} has {found} columns; {columns} are expected")
+    try:
+        numbers = np.loadtxt(rows, delimiter=separator, ndmin=2, comments=None)
+        if numbers.shape[1] == width and np.isfinite(numbers).all():
+            return Table(path, names, numbers, None, lines)
+    except ValueError:
+        pass
+    entries = [_split(row, separator) for row in rows]
+    for line, row in zip(lines, entries, strict=True):
+        if len(row) != width:
+            raise TableError(f"{path}: line {line} has {len(row)} entries; {width} are expected")
+        for place, entry in enumerate(row, 1):
+            if not (words or _is_number(entry)):
+                raise TableError(f"{path}: line {line}, column {place}: {_fault(entry)}")
+    if words and not all(_is_number(entry) for row in entries for entry in row):
+        return Table(path, names, np.empty((0, width)), entries, lines)
+    return Table(path, names, np.array(entries, dtype=np.float64), None, lines)
+
+
+def _mapped(path: Path, columns: int | None) -> Table:
+    numbers = np.load(path, mmap_mode="r", allow_pickle=False)
+    if numbers.dtype.kind not in "fiu" or numbers.ndim != 2:
+        wrong = f"holds {numbers.dtype} of shape {numbers.shape}"
+        raise TableError(f"{path}: {wrong}; rows and columns of numbers are expected")
+    if not len(numbers):
+        raise TableError(f"{path}: holds no rows")
+    if columns is not None and numbers.shape[1] != columns:
+        raise TableError(f"{path}: has {numbers.shape[1]} columns; {columns} are expected")
+    return Table(path, (), numbers, None, [])
+
+
+def _split(row: str, separator: str | None) -> list[str]:
+    if separator is None:
+        return row.split()
+    reader = csv.reader([row], delimiter=separator, skipinitialspace=True)
+    return [entry.strip() for entry in next(reader)]
+
+
+def _is_number(entry: str) -> bool:
+    try:
+        return bool(np.isfinite(float(entry)))
+    except ValueError:
+        return False
+
+
+def _fault(entry: str) -> str:
+    if not entry:
+        return "is empty; a number is expected"
+    point = entry.replace(",", ".")
+    if point != entry and _is_number(point):
+        return f"{entry!r} is no number; write a point for the comma: {point}"
+    shown = entry if len(entry) <= 40 else entry[:37] + "..."
+    return f"{shown!r} is no finite number"

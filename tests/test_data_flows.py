@@ -1,0 +1,142 @@
+"""Flows from data and functions of time: series, expressions, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+import qbxstokes as qs
+from qbxstokes.errors import FlowError, SceneError
+
+AXIS = np.array([0.48, 0.6, 0.64])
+
+
+def random_gradient(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Amplitudes (5, 3, 3), traceless, and frequencies of a smooth A(t)."""
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(5, 3, 3)) * 0.25
+    return a - np.trace(a, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0, np.array(
+        [0.4, 0.9, 1.5, 2.3, 3.1]
+    )
+
+
+def cosines(seed: int) -> object:
+    amplitude, frequency = random_gradient(seed)
+    return lambda t: np.einsum("n,nij->ij", np.cos(frequency * t + 1.0), amplitude)
+
+
+def jeffery(gradient: object, k: float, axis: NDArray[np.float64], end: float) -> object:
+    """The axis at the end, by SciPy's DOP853 of Jeffery's equation."""
+    shape = (1.0 - k * k) / (1.0 + k * k)
+
+    def rate(t: float, p: NDArray[np.float64]) -> NDArray[np.float64]:
+        a = gradient(t)  # type: ignore[operator]
+        pull = 0.5 * (a - a.T) @ p + shape * 0.5 * (a + a.T) @ p
+        return pull - (p @ pull) * p
+
+    return solve_ivp(rate, (0.0, end), axis, "DOP853", rtol=1e-12, atol=1e-13, max_step=0.02).y[
+        :, -1
+    ]
+
+
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_functions_and_series_follow_jeffery(k: float) -> None:
+    a = cosines(3)
+    exact = jeffery(a, k, AXIS, 8.0)
+    body = qs.Body(k)
+    motion = body.integrate(qs.flow("linear", gradient=a), [8.0], orientation=AXIS, tolerance=1e-8)
+    assert np.abs(motion.axis[-1] - exact).max() < 1e-7
+    t = np.linspace(0.0, 8.0, 401)
+    series = qs.GradientSeries(t, [a(s) for s in t])  # type: ignore[operator]
+    flow = qs.flow("linear", gradient=series)
+    motion = body.integrate(flow, [8.0], orientation=AXIS, tolerance=1e-7)
+    assert np.abs(motion.axis[-1] - exact).max() < 1e-6
+
+
+def test_a_pulse_in_a_fluid_at_rest_is_not_stepped_over() -> None:
+    def pulse(t: float) -> NDArray[np.float64]:
+        return 30.0 * np.exp(-(((t - 7.3) / 0.02) ** 2)) * np.eye(3)[:, [2, 0, 1]] * [[1], [0], [0]]
+
+    exact = jeffery(pulse, 0.2, AXIS, 10.0)
+    flow = qs.flow("linear", gradient=pulse)
+    motion = qs.Body(0.2).integrate(flow, [10.0], orientation=AXIS, tolerance=1e-8)
+    assert np.abs(motion.axis[-1] - AXIS).max() > 0.01
+    assert np.abs(motion.axis[-1] - exact).max() < 1e-7
+
+
+@pytest.mark.parametrize("cause", ["cubic", "divergent"])
+def test_flows_that_cease_to_be_stokesian_are_refused(cause: str) -> None:
+    def velocity(x: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        u = np.zeros_like(x)
+        u[:, 0] = x[:, 1]
+        if cause == "cubic":
+            u[:, 0] += t * x[:, 1] ** 3
+        else:
+            u += 0.1 * t * x
+        return u
+
+    with pytest.raises(SceneError, match="not Stokesian"):
+        qs.Body(0.5).integrate(qs.flow("user", function=velocity), [1.0])
+
+
+def test_interpolation_converges_at_its_order() -> None:
+    a = cosines(5)
+    errors = {}
+    for name, order in (("hold", 1), ("linear", 2), ("sextic", 6)):
+        sizes = []
+        for n in (101, 201):
+            t = np.linspace(0.0, 10.0, n)
+            flow = qs.GradientSeries(t, [a(s) for s in t], interpolation=name).function()  # type: ignore[operator]
+            places = np.linspace(2.003, 7.997, 300)
+            sizes.append(max(np.abs(flow(s) - a(s)).max() for s in places))  # type: ignore[operator]
+        errors[name] = np.log2(sizes[0] / sizes[1])
+        assert errors[name] == pytest.approx(order, abs=0.4)
+
+
+def test_files_give_the_same_series(tmp_path: Path) -> None:
+    a = cosines(7)
+    t = np.linspace(0.0, 4.0, 41)
+    samples = np.array([[a(s).ravel(), -a(s).ravel()] for s in t])  # type: ignore[operator]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["A"], file["t"] = samples, t
+    np.save(tmp_path / "a.npy", np.column_stack([t, samples[:, 1]]))
+    np.savetxt(tmp_path / "a.csv", np.column_stack([t, samples[:, 1, :8]]), delimiter=";")
+    expected = -a(1.2345)  # type: ignore[operator]
+    for keys in (
+        {"file": "a.h5", "layout": ["time", "trajectory"]},
+        {"file": "a.npy"},
+        {"file": "a.csv"},
+    ):
+        case = {"type": "linear", "gradient": keys, "trajectory": 1 if "layout" in keys else 0}
+        flow = qs.build_flow(case, tmp_path)
+        assert np.abs(flow.gradient([0.0, 0.0, 0.0], 1.2345) - expected).max() < 1e-4
+        with pytest.raises(FlowError, match="outside the series"):
+            flow.gradient([0.0, 0.0, 0.0], 4.5)
+
+
+def test_the_trace_is_projected_and_told() -> None:
+    samples = np.tile(np.diag([1.0, 0.0, 0.2]), (8, 1, 1))
+    series = qs.GradientSeries(np.arange(8.0), samples)
+    assert np.trace(series.function()(2.5)) == pytest.approx(0.0, abs=1e-15)
+    assert series.trace == pytest.approx(1.2)
+    with pytest.raises(FlowError, match="trace"):
+        qs.GradientSeries(np.arange(8.0), samples, trace="error").function()
+
+
+def test_a_case_takes_expressions() -> None:
+    simulation = qs.from_case(
+        {
+            "task": "motion",
+            "body": {"aspect_ratio": 0.2},
+            "flow": {"type": "linear", "gradient": [[0, "cos(t)", 0], [0, 0, 0], [0, 0, 0]]},
+            "start": {"orientation": {"axis": AXIS.tolist()}},
+            "time": {"end": 6.0, "samples": 3, "tolerance": 1e-8},
+        }
+    )
+    exact = jeffery(lambda t: np.cos(t) * np.outer([1, 0, 0], [0, 1, 0]), 0.2, AXIS, 6.0)
+    assert np.abs(simulation.integrate([6.0]).axis[-1] - exact).max() < 1e-7
