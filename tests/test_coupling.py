@@ -11,9 +11,11 @@ import qbxstokes as qs
 from qbxstokes.bie.coupling import Placed, closest
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, SceneError
+from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.reference.bispherical import Bispherical, brenner, near_wall
 
+ORIGIN, SHEAR = [[0.0, 0.0, 0.0]], qs.flow("shear")
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
 
 
@@ -192,3 +194,29 @@ def test_a_motion_ends_at_the_wall_by_name() -> None:
     assert fall.ended_by == "clearance"
     assert "body 1 and the wall" in fall.message
     assert fall.gap[-1] == pytest.approx(0.6, abs=1e-6)
+
+
+def test_what_a_suspension_cannot_do_is_refused() -> None:
+    with pytest.raises(SceneError, match="stokes_number"):
+        qs.Suspension([qs.Body(0.5, stokes_number=1.0)])
+    big = qs.Body(0.5, size=2.0)
+    for ask in (lambda: big.resistance, lambda: big.stress, lambda: big.free_motion(SHEAR, ORIGIN)):
+        with pytest.raises(SceneError, match="size is 2"):
+            ask()
+    alone = qs.Suspension([big])
+    channel = qs.flow("plane_poiseuille", half_width=3.0)
+    with pytest.raises(SceneError, match="body 1 beyond"):
+        alone.free_motion(channel, [[0.0, 2.5, 0.0]])
+    with pytest.raises(SceneError, match="nobody knows"):
+        alone.free_motion(UserFlow(lambda x: x * [1.0, -1.0, 0.0]), ORIGIN)
+    inside = qs.flow("stokeslet", strength=[1, 0, 0], position=[0, 0, 1.5])
+    with pytest.raises(SceneError, match="singular"):
+        alone.free_motion(inside, ORIGIN)
+
+
+def test_grids_follow_a_singular_flow() -> None:
+    near = qs.flow("stokeslet", strength=[1, 0, 0], position=[0, 0, 1.8])
+    one, axis = qs.Suspension([qs.Body(0.5)], tolerance=1e-8), [[0.6, 0.0, 0.8]]
+    exact = qs.Body(0.5).free_motion(near, [0.0, 0.0, 0.0], axis[0])
+    found = one.free_motion(near, ORIGIN, axis)
+    assert np.allclose([found[0][0], found[1][0]], exact, rtol=0, atol=1e-8)

@@ -151,6 +151,7 @@ class Body:
 
         degree: of a polynomial flow, 1 to 3. completion: of the resistance, None to leave it out.
         """
+        self.check_size()
         key = degree, completion
         if key not in self._formed:
             section = self.settings
@@ -158,6 +159,11 @@ class Body:
                 self.shape, section, degree, completion, self.strict, workshop or Workshop()
             )
         return self._formed[key]
+
+    def check_size(self) -> None:
+        """Refuse another size than the unit of length, which has a meaning beside others alone."""
+        if self.size != 1.0:
+            raise SceneError("size", f"is {self.size:g}", "1 outside a Suspension: it is the unit")
 
     def hydrodynamics_in(
         self, flow: Flow, need: Need, workshop: Workshop, degree: int | None = None
@@ -197,6 +203,7 @@ class Body:
     @property
     def stress(self) -> Stresslet:
         """S0, S1 and S2 (`numbers`) with their error estimate, and the functional behind them."""
+        self.check_size()
         if "stresslet" not in self._stress:
             from qbxstokes.simulation.stresses import form_stresslet
 

@@ -60,7 +60,7 @@ class _RightSide:
 
     def solve(self, t: float, y: Array) -> Solution:
         x, q = self.unpack(y)
-        nodes = self.scene.problem(self.scene.placed(x, q)).nodes
+        nodes = self.scene.grids(self.scene.placed(x, q), self.flow, t)
         guess = None
         if self._guess is not None and self._guess[0] == list(nodes):
             guess = self._guess[1]

@@ -70,8 +70,7 @@ class Simulation:
         several = list(bodies) if isinstance(bodies, Sequence) else [bodies]
         if len(several) != 1:
             raise SceneError("bodies", f"are {len(several)}", "one body; several: qs.Suspension")
-        if several[0].size != 1.0:
-            raise SceneError("size", f"is {several[0].size:g}", "1: one body is the unit of length")
+        several[0].check_size()
         if surroundings is not None:
             raise SceneError("surroundings", f"is {surroundings!r}", "None; a wall: qs.Suspension")
         if not isinstance(flow, Flow):

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import Coupled, Placed, Plane, choose_nodes
-from qbxstokes.errors import SceneError
+from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes
+from qbxstokes.bie.resolution import flow_nodes
+from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
+from qbxstokes.flows.check import check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 
@@ -136,6 +138,10 @@ class Suspension:
         for body in self.bodies:
             if not isinstance(body.shape, Spheroid):
                 raise SceneError("bodies", f"hold a {body.shape}", "spheroids: gaps are theirs")
+            if np.any(body.stokes_number):
+                raise SceneError(
+                    "bodies", "have a stokes_number", "0: several bodies move without inertia"
+                )
         if surroundings is not None and not isinstance(surroundings, Wall):
             raise SceneError("surroundings", f"is {surroundings!r}", "None or a qs.Wall(...)")
         if not 1e-12 <= tolerance <= 0.1:
@@ -172,9 +178,22 @@ class Suspension:
 
     # -- one instant --------------------------------------------------------------------------
 
+    def grids(self, places: list[Placed], flow: Flow | None = None, t: float = 0.0) -> list[int]:
+        """Polar nodes of each body, which resolve the gaps and the flow.
+
+        Raises ContactError, and SceneError for a flow that is not one around the bodies.
+        """
+        chosen = choose_nodes(places, self.plane, self.tolerance)
+        if flow is None:
+            return chosen
+        return [
+            max(count, self._flow_nodes(b, place, flow, t))
+            for b, (count, place) in enumerate(zip(chosen, places, strict=True), start=1)
+        ]
+
     def problem(self, places: list[Placed], nodes: Sequence[int] | None = None) -> Coupled:
         """The linear problem of the bodies where they are. Raises ContactError."""
-        chosen = list(nodes or choose_nodes(places, self.plane, self.tolerance))
+        chosen = list(nodes or self.grids(places))
         own = None
         if self.comm is not None:
             from qbxstokes.petsc.coupled import own_bodies
@@ -220,7 +239,8 @@ class Suspension:
         """The bodies with given velocities (N, 3) or (3,) in a flow."""
         self._check(flow, t)
         motion = np.concatenate([self._each(velocity), self._each(angular_velocity)], axis=1)
-        problem = self.problem(self.placed(position, orientation), nodes)
+        places = self.placed(position, orientation)
+        problem = self.problem(places, nodes or self.grids(places, flow, t))
         (found,) = self._held(problem, [(motion, _velocity(flow, t))])
         return found
 
@@ -241,7 +261,8 @@ class Suspension:
         guess: the unknowns of a solution with the same nodes, to start the solver from.
         """
         self._check(flow, t)
-        problem = self.problem(self.placed(position, orientation), nodes)
+        places = self.placed(position, orientation)
+        problem = self.problem(places, nodes or self.grids(places, flow, t))
         loads = np.concatenate([self._each(force), self._each(torque)], axis=1)
         return self._free(problem, loads, _velocity(flow, t), guess)
 
@@ -378,6 +399,30 @@ class Suspension:
             raise SceneError(
                 "bodies", f"got vectors of shape {given.shape}", f"shape {(len(self), 3)} or (3,)"
             ) from None
+
+    def _flow_nodes(self, b: int, place: Placed, flow: Flow, t: float) -> int:
+        """Polar nodes that resolve the flow on body b, which it must surround."""
+        reach = place.size**2 * place.shape.extent(place.axis)
+        for edge in flow.domain:
+            if edge.gap(place.position, reach) <= 0.0:
+                raise SceneError("position", f"has body {b} beyond {edge}", "the body inside")
+        try:
+            radius = 2.0 * place.size * place.shape.radius
+            check_stokesian(flow, place.position, radius=radius, t=t)
+            if flow.degree is not None and flow.degree <= 3:
+                return 0
+            if not flow.singular_points_known:
+                raise FlowError("is a function, whose variation over the bodies nobody knows")
+            points = place.to_body(np.asarray(flow.singular_points, dtype=np.float64))
+            if place.shape.clearance(points, np.zeros(3), np.eye(3)[2]).min(initial=np.inf) <= 0.0:
+                raise FlowError(f"is singular in body {b}")
+            rate = float(place.shape.decay(points).max(initial=0.0))
+            found = flow_nodes(rate, self.tolerance)[0]
+        except FlowError as error:
+            raise SceneError("flow", str(error), "nodes= as you judge, or another flow") from None
+        if found > MOST_NODES:
+            raise SceneError("flow", f"takes {found} nodes on body {b}", f"at most {MOST_NODES}")
+        return found
 
     def _check(self, flow: Flow | None, t: float) -> None:
         if self.wall is not None:

@@ -7,8 +7,7 @@ The density psi(p, t) of axes p on the unit sphere obeys
 (L. G. Leal & E. J. Hinch 1971, J. Fluid Mech. 46, 685; H. Brenner 1974, Int. J. Multiphase Flow 1,
 195). Time is measured by the flow's rate sqrt(2 E:E), so that D = 1/Pe. Every matrix element is
 algebraic (`harmonics`); a steady density is one sparse LU, a transient an explicit Runge-Kutta
-method of order eight (an implicit one where diffusion is stiff). SciPy's LU takes a third of the
-time of PETSc's there, and is real: 0.05 s for degree 120.
+method of order eight (an implicit one where diffusion is stiff). The LU is SciPy's.
 """
 
 from __future__ import annotations
