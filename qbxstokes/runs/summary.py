@@ -66,7 +66,7 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
 def _span(plan: MotionPlan) -> str:
     end = float(plan.times[-1])
     text = f"0 to {quantity(end)}"
-    if plan.period is not None:
+    if plan.period is not None and plan.simulation.flow.steady:
         periods = counted(end / plan.period, "Jeffery period")
         text += f" ({periods} of {quantity(plan.period)})"
     return f"{text}, {len(plan.times)} samples"
