@@ -178,7 +178,7 @@ def test_what_is_lost_is_what_was_asked_for(
     ranks, case = KINDS[kind]
     case = case | {"checkpoint": {"every": f"{every} s"}}
     if kind == "field on two":
-        case |= {"field": FIELD | {"plane": {"shape": [800, 800]}, "vtk": False}}
+        case |= {"field": FIELD | {"plane": {"shape": [2000, 2000]}, "vtk": False}}
     else:
         case |= {"time": case["time"] | {"samples": 1001}}
         case["time"].pop("periods", None)
