@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 from conftest import ENVIRONMENT, Run
 
 from qbxstokes import load
+from qbxstokes.cli.main import run_command
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {
@@ -44,6 +46,41 @@ def test_a_damaged_checkpoint_is_refused(
         assert "no checkpoint to go on from" in done.stderr
         assert "--overwrite" in done.stderr
         assert done.stderr.count("\n") == 1
+
+
+def test_a_kill_while_the_parts_are_removed_harms_nothing(
+    write_case: WriteCase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of them goes first: what is left is no run to go on with, and goes as well."""
+    monkeypatch.chdir(tmp_path)
+    words = [str(write_case(CASE)), "--quiet", "--resume", "--set", "output.file=a.h5"]
+    folder, result = tmp_path / "a.h5.parts", tmp_path / "a.h5"
+    for first in (0, 1, -1):
+
+        def cut(folder: Path, first: int = first, **options: Any) -> None:
+            sorted(folder.glob("rows-*"))[first].unlink()
+
+        with monkeypatch.context() as patch:
+            patch.setattr(shutil, "rmtree", cut)
+            assert run_command(words) == 0
+        assert list(folder.glob("rows-*"))
+        whole = result.read_bytes()
+        assert run_command(words) == 0
+        assert result.read_bytes() == whole
+        assert not folder.exists()
+        result.unlink()
+
+
+def test_a_missing_part_is_told(run_cli: Run, write_case: WriteCase, tmp_path: Path) -> None:
+    write_case(CASE | {"time": CASE["time"] | {"periods": 200, "samples": 2001}})
+    stop_at_random(tmp_path, signal.SIGKILL, random.Random(4))
+    while len(parts := sorted((tmp_path / "killed.h5.parts").glob("rows-*.h5"))) < 2:
+        stop_at_random(tmp_path, signal.SIGKILL, random.Random(5))
+    parts[0].unlink()
+    done = run_cli("case.yaml", "--resume", "--set", "output.file=killed.h5")
+    assert done.returncode == 2
+    assert "a part is missing before rows-" in done.stderr
+    assert not (tmp_path / "killed.h5").exists()
 
 
 def same(one: Path, other: Path) -> None:
@@ -162,7 +199,6 @@ def test_a_field_goes_on_piece_by_piece(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from qbxstokes.cli.main import run_command
     from qbxstokes.runs import field_work
 
     monkeypatch.chdir(tmp_path)

@@ -209,6 +209,8 @@ class Work:
     def close(self, remove: bool = False) -> None:
         """Let go of the folder; with `remove` it goes as well."""
         if remove:
+            # First what says that there is something to go on with: some parts alone are no run.
+            (self.folder / RUN).unlink(missing_ok=True)
             shutil.rmtree(self.folder, ignore_errors=True)
         if self._lock is not None:
             os.close(self._lock)
@@ -276,6 +278,14 @@ def holds_work(folder: Path) -> bool:
     told = _run_in(folder)
     work = any(folder.glob(f"[!.]*-*{_SUFFIX}"))
     return told is not None and not told["finished"] and work
+
+
+def remove_remains(target: Path) -> None:
+    """Remove the working folder of a finished result that a killed run was about to remove."""
+    folder = parts_of(target)
+    if folder.is_dir() and not (folder / RUN).exists():
+        with contextlib.suppress(CaseError, OutputError):  # its owner is at it, or it may not be
+            Work(target, {}, 1).hold().close(remove=True)
 
 
 def check_disk(target: Path, needed: float, what: str, right: str) -> None:
@@ -356,6 +366,7 @@ def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
 
 def _cleared(folder: Path) -> None:
     """Remove everything but the lock."""
+    (folder / RUN).unlink(missing_ok=True)
     for path in folder.iterdir():
         if path.name == LOCK:
             continue

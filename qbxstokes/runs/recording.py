@@ -69,6 +69,7 @@ class Recording:
         self.finished: Path | None = None
         self._events: dict[str, Any] | None = None
         self._waiting: list[tuple[str, Array]] = []
+        self._safe = 0  # samples in the parts
         self._latest: dict[str, Any] | None = None
         self._run = os.urandom(16).hex()
         asked = result_path(loaded)
@@ -89,16 +90,21 @@ class Recording:
     def _reopen(self) -> None:
         """Go on from the checkpoint in the last part."""
         try:
-            arrays, note = read_part(self.work.parts(ROWS)[-1], ["state"])
+            reached, arrays, note = 0, dict[str, Array](), dict[str, Any]()
+            for path in self.work.parts(ROWS):
+                arrays, note = read_part(path, ["state"])
+                if note["first"] != reached:
+                    raise DamagedPart(f"a part is missing before {path.name}")
+                reached = note["integrator"]["next_sample"]
             self.start = Checkpoint(**{**note["integrator"], "state": arrays["state"]})
             self._events, self._run = note["events"], note["run"]
-        except (DamagedPart, OSError, IndexError, KeyError, TypeError) as error:
+        except (DamagedPart, OSError, KeyError, TypeError) as error:
             self.work.close()
             raise CaseError(
                 f"{self.work.folder}: no checkpoint to go on from ({error}); begin anew with "
                 "--overwrite"
             ) from None
-        self.resumed_at = self.start.time
+        self.resumed_at, self._safe = self.start.time, reached
 
     @property
     def _names(self) -> tuple[str, ...]:
@@ -170,10 +176,11 @@ class Recording:
         if not self.saved:
             self.work.note_run()
         note = {name: self._latest[name] for name in ("integrator", "events")}
+        note["first"] = self._safe
         rows = dict(_joined(self._waiting, math.inf))
         arrays = {**rows, "state": self._latest["state"]}
         self.work.save(ROWS, arrays, {**note, "run": self._run})
-        self._waiting = []
+        self._waiting, self._safe = [], self._latest["integrator"]["next_sample"]
         numbers = self._latest["integrator"]
         self._saved = (time.monotonic(), numbers["steps"], numbers["time"])
         self.saved = True

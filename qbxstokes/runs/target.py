@@ -13,7 +13,7 @@ from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
-from qbxstokes.io.store import NUMBERED, first_difference, free_name, holds_work
+from qbxstokes.io.store import NUMBERED, first_difference, free_name, holds_work, remove_remains
 
 # Sections that no number depends on, for every task.
 _IRRELEVANT = ("title", "output", "compare", "checkpoint")
@@ -71,6 +71,7 @@ def finished_result(loaded: LoadedCase, identity: Mapping[str, Any]) -> Path | N
             continue
         difference = first_difference(json.loads(text), identity)
         if difference is None:
+            remove_remains(path)
             return path
         other = other or f"{path}: is the result of a run with another {difference}"
     if other:
