@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from euler_orbits import euler_angles_at
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import case_of
@@ -42,7 +43,7 @@ RNG = np.random.default_rng(1)
 
 def orbit(times: Array, theta: float = 1.0) -> dict[str, Array]:
     """A Jeffery orbit of a centre that drifts across a stream."""
-    euler = jeffery.euler_angles_at(times, K, 0.5, theta)
+    euler = euler_angles_at(times, K, 0.5, theta)
     q = rotation.from_euler(*euler.T)
     axis = rotation.axis(q)
     gradient = np.zeros((3, 3))

@@ -117,22 +117,6 @@ def lag(k: float, d: Array, g: Array) -> Array:
     return np.asarray(-(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning)
 
 
-def light_axis(k: float, stokes_number: float, axis: Array, times: Array) -> Array:
-    """The axis (T, 3) of a body of small Stokes number, to first order in it, without its layer.
-
-    It starts at times[0] as `axis`; d' = g + St lag is not stiff and goes to DOP853.
-    """
-    from scipy.integrate import solve_ivp
-
-    def rate(_: float, d: Array) -> Array:
-        g = jeffery_rate(k, d)
-        return np.asarray(g + stokes_number * lag(k, d, g))
-
-    span = (float(times[0]), float(times[-1]))
-    found = solve_ivp(rate, span, axis, "DOP853", times, rtol=1e-12, atol=1e-12)
-    return np.asarray(found.y.T)
-
-
 def _along(k: float, d: Array, g: Array) -> Array:
     """Second derivative of the axis along a Jeffery orbit, exact by a complex step."""
     step = 1e-30

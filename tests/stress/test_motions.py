@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import See
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from qbxstokes.flows.named import Shear, Uniform
 from qbxstokes.geometry import rotation
@@ -22,6 +23,21 @@ from qbxstokes.simulation.exact import exact_model
 Array = NDArray[np.float64]
 
 extents = pytest.mark.parametrize("extent", ["small", pytest.param("full", marks=pytest.mark.slow)])
+
+
+def light_axis(k: float, stokes_number: float, axis: Array, times: Array) -> Array:
+    """The axis (T, 3) of a body of small Stokes number, to first order in it, without its layer.
+
+    It starts at times[0] as `axis`; d' = g + St lag is not stiff and goes to DOP853.
+    """
+
+    def rate(_: float, d: Array) -> Array:
+        g = heavy.jeffery_rate(k, d)
+        return np.asarray(g + stokes_number * heavy.lag(k, d, g))
+
+    span = (float(times[0]), float(times[-1]))
+    found = solve_ivp(rate, span, axis, "DOP853", times, rtol=1e-12, atol=1e-12)
+    return np.asarray(found.y.T)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,7 +67,7 @@ def test_stokes_numbers(see: See) -> None:
             d = rotation.axis(run.states[:, 0, 3:7])
             rates, bound = equations.relaxation_rates[2:, 0], 10.0 * tolerance
             if rates.max() * times[-1] > 2e4:
-                exact = heavy.light_axis(k, stokes, d[0], times)
+                exact = light_axis(k, stokes, d[0], times)
                 bound += 2.0 * (max(k, 1.0 / k) / float(rates.min())) ** 2
             else:
                 found = inertial.linear_flow(
