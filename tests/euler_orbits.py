@@ -1,4 +1,4 @@
-"""Jeffery's orbits in Euler angles, in closed form, for rotations and pictures to be held against."""
+"""Jeffery's orbits in Euler angles, in closed form: what rotations and pictures are checked by."""
 
 from __future__ import annotations
 
