@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -32,10 +33,24 @@ def share_threads() -> None:
             os.environ.setdefault(name, str(threads))
 
 
+class _Remarks(io.TextIOWrapper):
+    """Standard error that ends no run when whoever read it has stopped: `2>&1 | head`."""
+
+    def write(self, text: str, /) -> int:
+        try:
+            return super().write(text)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            return len(text)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     share_threads()
     gc.set_threshold(_ALLOCATIONS)
+    if isinstance(sys.stderr, io.TextIOWrapper):  # and not closed, or taken by a test
+        told = sys.stderr
+        sys.stderr = _Remarks(told.buffer, told.encoding, told.errors, line_buffering=True)
     from qbxstokes.cli.main import run_command
 
     return run_command(sys.argv[1:] if arguments is None else arguments)

@@ -87,24 +87,34 @@ def test_an_output_that_is_full_is_told(write_case: Callable[..., Path], tmp_pat
     assert len(qs.load(tmp_path / "case.h5").time) == 3  # the result itself is there
 
 
-def test_who_stops_reading_disturbs_nothing(
-    write_case: Callable[..., Path], tmp_path: Path
-) -> None:
-    path = write_case(MOTION)
+def closed_pipe(folder: Path, *words: str, both: bool = False) -> tuple[int, str]:
+    """Exit status and standard error where nobody reads the output (`| true`, `2>&1 | true`)."""
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "qbxstokes", path.name]
     done = subprocess.run(
-        command,
-        cwd=tmp_path,
+        [sys.executable, *words],
+        cwd=folder,
         env=os.environ | ENVIRONMENT,
         stdout=write,
-        stderr=subprocess.PIPE,
+        stderr=write if both else subprocess.PIPE,
         text=True,
         check=False,
     )
     os.close(write)
-    assert (done.returncode, done.stderr) == (0, "")
+    return done.returncode, done.stderr or ""
+
+
+def test_who_stops_reading_disturbs_nothing(
+    write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = write_case(MOTION)
+    program = ("-m", "qbxstokes")
+    for words in ([path.name], ["doctor"], ["help", "keys"]):  # PETSc runs in two of them
+        assert closed_pipe(tmp_path, *program, *words) == (0, ""), words
+    swept = write_case(MOTION | {"sweep": {"axes": [{"time.end": [1.0, 2.0]}]}}, "swept.yaml")
+    assert closed_pipe(tmp_path, *program, swept.name, "--progress", "line", both=True)[0] == 0
+    assert (qs.load(tmp_path / "swept.h5").table["status"] == 1).all()
+    assert closed_pipe(tmp_path, *program, "no.yaml", both=True)[0] == 2
 
 
 def test_memory_that_does_not_suffice_is_told(capfd: pytest.CaptureFixture[str]) -> None:

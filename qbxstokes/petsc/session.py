@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import gc
+import signal
 import sys
+import threading
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -36,6 +38,7 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
         with starting_mpi():
             # Files named .petscrc are no place that options are known to come from.
             petsc4py.init(["qbxstokes", "-skip_petscrc", *arguments])
+        _keep_pipes()
     from petsc4py import PETSc
 
     atexit.unregister(_release)
@@ -46,6 +49,13 @@ def start(arguments: Sequence[str] = (), options: Mapping[str, Any] | None = Non
             database.setValue(name, value)
     require_honest()
     return PETSc
+
+
+def _keep_pipes() -> None:
+    """A pipe that is closed is an error of whoever writes, as before PETSc, and ends no process."""
+    before = signal.getsignal(signal.SIGPIPE)  # what Python knows, not what PETSc has set
+    if before is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGPIPE, before)
 
 
 def require_honest() -> None:

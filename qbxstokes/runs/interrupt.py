@@ -49,8 +49,6 @@ class Interruption:
         for number in _SIGNALS:
             former = signal.signal(number, self._note)
             self._former.setdefault(number, former)
-        if hasattr(signal, "SIGPIPE"):  # a closed pipe is an error of whoever writes, as ever
-            signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
     def __enter__(self) -> Interruption:
         """Take over the signals."""
