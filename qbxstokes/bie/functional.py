@@ -44,6 +44,11 @@ class Resistance:
         across, about = self.translation_transverse, self.rotation_transverse
         return np.diag([across, across, self.translation_axial, about, about, self.rotation_axial])
 
+    @property
+    def mobility(self) -> Array:
+        """M (6, 6) = R^-1: (V, Omega) = M (force, torque) from outside."""
+        return np.diag(1.0 / np.diag(self.matrix))
+
 
 @dataclass(frozen=True)
 class FaxenCoefficients:

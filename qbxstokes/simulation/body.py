@@ -42,6 +42,7 @@ from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, places
 
 if TYPE_CHECKING:
+    from qbxstokes.bie.law import BodyLaw
     from qbxstokes.bie.stresslet import Stresslet
 
 Array = NDArray[np.float64]
@@ -228,7 +229,25 @@ class Body:
     @property
     def mobility(self) -> Array:
         """Matrix M (6, 6), body frame: (V, Omega) = M (force, torque) from outside."""
-        return np.diag(1.0 / np.diag(self.resistance))
+        return self.model.resistance.mobility
+
+    def law(self, about: ArrayLike = ORIGIN) -> BodyLaw:
+        """The law as tensors about a point (3,) of the body frame: resistance, mobility, and more.
+
+        `resistance` and `mobility` (6, 6), `grand_resistance` (11, 11) with the stresslet, and
+        `free(velocity)`, the free motion and stresslet in a flow: see `BodyLaw`.
+
+        >>> import numpy as np, qbxstokes as qs
+        >>> tip = qs.Body(0.5).law(about=[0, 0, 1]).resistance  # pushed at its tip a rod turns
+        >>> bool(np.allclose(tip, tip.T)), bool(tip[0, 4] != 0.0)
+        (True, True)
+        """
+        from qbxstokes.bie.law import BodyLaw
+
+        point = np.asarray(about, dtype=np.float64)
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise SceneError("about", f"is {about!r}", "three finite numbers")
+        return BodyLaw(self.model, self.hydrodynamics.functional, lambda: self.stress, point)
 
     # -- in a flow ----------------------------------------------------------------------------
 
@@ -247,15 +266,10 @@ class Body:
         position (..., 3); orientation: axes (..., 3) or quaternions (..., 4); they broadcast.
         force, torque (3,): from outside, in space; None: the body is free of them.
         """
-        loads = None
-        if force is not None or torque is not None:
-            loads = Loads(ORIGIN if force is None else force, ORIGIN if torque is None else torque)
-        scene = Simulation(
-            self.with_inertia(0.0), flow, position=position, orientation=orientation, loads=loads
-        )
-        assembled = scene.assemble(t=t)
-        u, omega = assembled.equations.velocities(t, assembled.initial)
-        return scene.shaped(np.array(u)), scene.shaped(np.array(omega))
+        from qbxstokes.simulation.placed import NOTHING, PlacedBody
+
+        loads = force, torque
+        return PlacedBody(self, flow, position, orientation, NOTHING, loads, t).velocities()
 
     def force_torque(
         self,
@@ -274,18 +288,10 @@ class Body:
         >>> np.round(force / np.pi, 9)
         array([6., 0., 0.])
         """
-        # With inertia the velocities are part of the state, whatever the Stokes number.
-        scene = Simulation(
-            self.with_inertia(1.0),
-            flow,
-            position=position,
-            orientation=orientation,
-            velocity=velocity,
-            angular_velocity=angular_velocity,
-        )
-        assembled = scene.assemble(t=t)
-        force, torque = assembled.equations.force_torque(t, assembled.initial)
-        return scene.shaped(force), scene.shaped(torque)
+        from qbxstokes.simulation.placed import NOTHING, PlacedBody
+
+        motion = velocity, angular_velocity
+        return PlacedBody(self, flow, position, orientation, motion, NOTHING, t).force_torque()
 
     def stresslet(
         self,
@@ -310,10 +316,10 @@ class Body:
         >>> np.round(np.diag(qs.Body(1.0).stresslet(strain)) * 3 / (20 * np.pi), 9) + 0.0
         array([ 1., -1.,  0.])
         """
-        from qbxstokes.simulation.stresslet import body_stresslet
+        from qbxstokes.simulation.placed import PlacedBody
 
         motion, loads = (velocity, angular_velocity), (force, torque)
-        return body_stresslet(self, flow, position, orientation, motion, loads, t)
+        return PlacedBody(self, flow, position, orientation, motion, loads, t).stresslet()
 
     def integrate(
         self,

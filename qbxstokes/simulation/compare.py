@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.functional import BodyModel
+from qbxstokes.bie.functional import BodyModel, Resistance
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -121,9 +121,9 @@ class _References:
             self.found.note = "no closed form for an inertial body in this flow and orientation"
 
     def _resistance(self, model: BodyModel) -> None:
-        exact = faxen.resistance(self.k)
-        numbers = vars(model.resistance).values()
-        error = max(abs(value / right - 1.0) for value, right in zip(numbers, exact, strict=True))
+        exact = Resistance(*faxen.resistance(self.k)).matrix
+        ratio = np.diag(model.resistance.matrix) / np.diag(exact)
+        error = float(np.abs(ratio - 1.0).max())
         self.found.add("resistance", "Lamb and Jeffery", error)
 
     def _driven(self) -> None:

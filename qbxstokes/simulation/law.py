@@ -43,27 +43,27 @@ class Law:
     @property
     def arrays(self) -> dict[str, Array]:
         """The quantities of `quantities.BODY` by name; those in a flow where there is one."""
-        model = self.formed.model
-        resistance = model.resistance.matrix
+        model, numbers = self.formed.model, self._numbers
         found = {
-            "resistance": resistance,
-            "mobility": np.diag(1.0 / np.diag(resistance)),
+            "resistance": model.resistance.matrix,
+            "mobility": model.resistance.mobility,
             "linear": np.array(model.faxen.linear),
             "quadratic": model.faxen.quadratic,
             "cubic": model.faxen.cubic,
-            "stresslet_numbers": self._numbers,
-            "kim_karrila": self._numbers[[0, 3, 2]] / self._unit,
+            "stresslet_numbers": np.array(list(numbers.values())),
+            "kim_karrila": np.array([numbers[n] for n in ("S0", "held", "S2")]) / self._unit,
         }
         if self.in_flow:
             found |= dict(zip(_IN_FLOW, (*self._moving(None), *self._moving(ORIGIN)), strict=True))
         return found
 
     @property
-    def _numbers(self) -> Array:
+    def _numbers(self) -> dict[str, float]:
         """S0, S1, S2 and the held S1."""
-        model, (axial, oblique, across) = self.formed.model, self.stresslet.numbers
-        held = oblique + 0.5 * model.resistance.rotation_transverse * model.faxen.linear**2
-        return np.array([axial, oblique, across, held])
+        model, free = self.formed.model, self.stresslet.numbers.tolist()
+        numbers = dict(zip(("S0", "S1", "S2"), free, strict=True))
+        torque = 0.5 * model.resistance.rotation_transverse * model.faxen.linear**2
+        return numbers | {"held": numbers["S1"] + torque}
 
     @property
     def _unit(self) -> float:
@@ -123,7 +123,7 @@ class Law:
             return float("nan")
         k = shape.aspect_ratio
         exact = np.array([*stress.stresslet_numbers(k), stress.held_number(k)])
-        return float(np.max(np.abs(self._numbers / exact - 1.0)))
+        return float(np.max(np.abs(np.array(list(self._numbers.values())) / exact - 1.0)))
 
     def _sizes(self) -> tuple[float, float, float, float]:
         """Velocity, angular velocity, force and torque of a body that moves as fast as the flow."""
@@ -133,5 +133,6 @@ class Law:
         turn = rotation.matrix(scene.quaternion[0])
         speed = np.linalg.norm(scene.flow.velocity(scene.position[0] + surface @ turn.T), axis=-1)
         fast, length = float(speed.max()), shape.radius
-        across, _, about, _ = vars(self.formed.model.resistance).values()
-        return fast, fast / length, across * fast, about * fast / length
+        r = self.formed.model.resistance
+        force, torque = r.translation_transverse * fast, r.rotation_transverse * fast / length
+        return fast, fast / length, force, torque
