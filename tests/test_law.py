@@ -103,5 +103,5 @@ def test_functionals_of_a_flow_that_is_no_polynomial(k):
 
 
 def test_about_needs_a_point():
-    with pytest.raises(SceneError, match="about is .* three finite numbers"):
+    with pytest.raises(SceneError, match=r"about is .* three finite numbers"):
         body(1.0).law([0.0, 1.0])

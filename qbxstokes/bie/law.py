@@ -1,7 +1,8 @@
-"""The law of a body as tensors about a stated point: loads of a motion, motion in a flow, stresslet.
+"""The law of a body as tensors about a stated point: loads of a motion, free motion, stresslet.
 
-Body frame, mu = 1. About a point p the background u = U0 + W0 x (x - p) + E (x - p) exerts on a body
-of velocity V at p and angular velocity Omega the force F, the torque T about p and the stresslet S,
+Body frame, mu = 1. About a point p the background u = U0 + W0 x (x - p) + E (x - p) exerts on a
+body of velocity V at p and angular velocity Omega the force F, the torque T about p and the
+stresslet S,
 
     (F, T, S) = R (U0 - V, W0 - Omega, E),   R symmetric and positive definite
 
