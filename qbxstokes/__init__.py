@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
     from qbxstokes.simulation.suspension import Suspension as Suspension
-    from qbxstokes.simulation.suspension import Wall as Wall
+    from qbxstokes.simulation.wall import Wall as Wall
 
 __version__ = "0.1.0"
 
@@ -50,7 +50,7 @@ _PUBLIC = {
     "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
     "Suspension": "qbxstokes.simulation.suspension",
-    "Wall": "qbxstokes.simulation.suspension",
+    "Wall": "qbxstokes.simulation.wall",
     "build_flow": "qbxstokes.flows",
     "flow": "qbxstokes.simulation.body",
     "from_case": "qbxstokes.simulation.from_case",

@@ -220,6 +220,16 @@ free_angular_velocity | \Omega | 1/tau      | angular velocity of the free body 
 held_force            | F      | mu c^2/tau | force on the body held fixed      | vector
 held_torque           | M      | mu c^3/tau | torque on the body held fixed     | vector
 """)
+# Of bodies that share a fluid, or of one by a wall: (body, ...) or all bodies together.
+COUPLED = {
+    **{name: RECORDABLE[name] for name in ("position", "axis", "stresslet")},
+    **{name: BODY[name] for name in BODY if name.startswith(("free_", "held_"))},
+    **_table(r"""
+resistance | R | mu c, mu c^2, mu c^3 | (force, torque) by the bodies on the fluid are R (velocity,
+   angular velocity), body after body, about their centres, in space
+mobility | M | 1/(mu c), ... | the inverse of the resistance
+"""),
+}
 _FORMING = _table(r"""
 setup_time | | s | time to form the body: the median where measured || set-up time
 iterations | | 1 | GMRES iterations of all solves

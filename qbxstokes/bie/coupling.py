@@ -43,6 +43,9 @@ Coefficients = Sequence[ComplexArray]
 # Error of the squeezing resistance per polar node: exp(-RATE times the rate of the gap), measured.
 RATE = 1.3
 LEAST_NODES, MOST_NODES = 8, 64
+# Polar nodes that the grids of an error estimate have less, and the relative error, in tolerances
+# of the problem, that both solutions may have in common.
+_LESS, _SHARED = 2, 0.1
 # Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
 KEPT_NUMBERS = 1.5e8
 
@@ -173,6 +176,28 @@ class Coupled:
     def size(self) -> int:
         """Unknowns of this process."""
         return int(self.slices[-1].stop) if self.slices else 0
+
+    # -- how well it is solved ----------------------------------------------------------------
+
+    @property
+    def coarser(self) -> list[int]:
+        """Polar nodes of grids that show, by what they miss, how well these resolve."""
+        return [max(n - _LESS, LEAST_NODES - _LESS) for n in self.nodes]
+
+    def estimated(self, fine: Array, coarse: Array) -> float:
+        """Estimated largest error of what was found here, by what the coarser grids found.
+
+        Errors fall by exp(-RATE times the least rate) a node: near contact, where that is slow,
+        the difference is taken times what remains of it. Besides the solver's tolerance, which
+        both share.
+        """
+        rate = float(closest(self.bodies, self.wall)[2].min())
+        left = math.exp(-_LESS * RATE * rate)
+        change = float(np.abs(fine - coarse).max(initial=0.0))
+        if change == 0.0:  # what is given, not found
+            return 0.0
+        shared = _SHARED * self.tolerance * float(np.abs(fine).max(initial=0.0))
+        return change * max(1.0, 2.0 * left / max(1.0 - left, 1e-3)) + shared
 
     def split(self, x: Array) -> list[Array]:
         """Velocities (N, 3) of the own bodies from the vector of unknowns, body frames."""
@@ -310,7 +335,7 @@ def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
     """Each body's least rate. Raises ContactError where a gap is not positive."""
     least, (b, c), rates = closest(bodies, wall)
     if least <= 0.0:
-        raise ContactError(_who(b, c), least, "they touch or overlap")
+        raise ContactError(names_of(b, c), least, "they touch or overlap")
     return rates
 
 
@@ -322,10 +347,13 @@ def choose_nodes(
     if max(found) > MOST_NODES:
         gap, (b, c), _ = closest(bodies, wall)
         raise ContactError(
-            _who(b, c), gap, f"the tolerance {tolerance:.0e} would take {max(found)} polar nodes"
+            names_of(b, c),
+            gap,
+            f"the tolerance {tolerance:.0e} would take {max(found)} polar nodes",
         )
     return found
 
 
-def _who(b: int, c: int) -> str:
+def names_of(b: int, c: int) -> str:
+    """Who body b is next to: body c, or the wall (-1)."""
     return f"body {b + 1} and the wall" if c < 0 else f"bodies {c + 1} and {b + 1}"

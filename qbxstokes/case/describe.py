@@ -109,11 +109,12 @@ def json_schema() -> dict[str, Any]:
             known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
     schema = _section_schema(Case)
     alone = {"properties": {"task": {"const": "body"}}, "required": ["task"]}
+    some_body = {"anyOf": [{"required": ["body"]}, {"required": ["bodies"]}]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
         "required": [name for name in schema["required"] if name != "flow"],
-        "allOf": [{"if": alone, "else": {"required": ["flow"]}}],
+        "allOf": [{"if": alone, "else": {"required": ["flow"]}}, some_body],
         "$defs": dict(sorted(definitions.items())),
         "title": "qbxstokes case",
     }

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from qbxstokes.case.bodies import expanded
 from qbxstokes.case.document import (
     Document,
     document_of,
@@ -78,6 +79,10 @@ def checked(document: Document, path: Path) -> LoadedCase:
 
 def from_document(document: Document, path: Path, space: SweepSpace | None = None) -> LoadedCase:
     """The case of a document that has been read already (by another rank, with its `space`)."""
+    if isinstance(document.data.get("bodies"), dict):
+        with _told(document), at("bodies"):
+            many = expanded(document.data["bodies"], path.parent)
+        document = replace(document, data={**document.data, "bodies": many})
     if isinstance(document.data.get("sweep"), dict):
         with _told(document):
             space = space or _space(document.data, path.parent)

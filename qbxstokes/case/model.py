@@ -48,13 +48,15 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool], str]] = {
 class Reader:
     """How a value is read: a function that returns ours or raises Problem, and its JSON Schema.
 
-    section: which one it opens. words: those that it is a choice of.
+    section: which one it opens; listed: whether as entries of a list. words: those that it is a
+    choice of.
     """
 
     read: Callable[[Any], Any]
     json: dict[str, Any]
     section: type[Section] | None = None
     words: tuple[str, ...] = ()
+    listed: bool = False
 
 
 def number(convert: Callable[[Any], Any] = to_number, **bounds: float) -> Reader:
@@ -139,7 +141,8 @@ def maybe(inner: Any) -> Reader:
     def read(value: Any) -> Any:
         return None if value is None else inner.read(value)
 
-    return Reader(read, {"anyOf": [inner.json, {"type": "null"}]}, inner.section, inner.words)
+    json = {"anyOf": [inner.json, {"type": "null"}]}
+    return Reader(read, json, inner.section, inner.words, inner.listed)
 
 
 TEXT = Reader(to_text, {"type": "string"})
@@ -221,6 +224,7 @@ class Section(types.SimpleNamespace):
     json: ClassVar[dict[str, Any]]
     section: ClassVar[type[Section]]
     words: ClassVar[tuple[str, ...]] = ()
+    listed: ClassVar[bool] = False
 
     def __init_subclass__(cls, is_open: bool = False, **elsewhere: tuple[str, str]) -> None:
         """Collect the keys, those of the parent first.

@@ -7,6 +7,14 @@ import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
+from qbxstokes.case.bodies import (
+    Bodies,
+    BodyEntry,
+    Surroundings,
+    check_members,
+    coupled,
+    prepared,
+)
 from qbxstokes.case.field import FieldSection
 from qbxstokes.case.model import Key, Reader, Section, key
 from qbxstokes.case.rheology import RheologySection
@@ -32,8 +40,10 @@ _FOREIGN = {
         "leave it out: the flow at one instant knows no inertia": "body.stokes_number body.inertia",
         "leave it out: it chooses among the samples of a motion": "output.fields",
         "leave it out, or use task: rheology": "rheology",
+        "leave it out: qs.Suspension(...).field gives that flow": "bodies surroundings",
     },
     "rheology": {
+        "leave it out: the suspension is dilute": "bodies surroundings",
         "leave it out, or use task: motion": "forces constraints time events checkpoint sweep",
         "leave it out, or use task: field": "field",
         "leave it out: orientations are told by rheology.orientations": "start.orientation",
@@ -89,8 +99,6 @@ PETSC_OPTIONS = Reader(_petsc_options, {"type": "object", "additionalProperties"
 
 class Case(
     Section,
-    bodies=("several bodies are not there yet", "write body, for one"),
-    surroundings=("walls are not there yet", "leave it out: the fluid is unbounded"),
     statistics=("ensembles are not there yet", "average over the table of a sweep"),
     **_MOVED,
 ):
@@ -98,7 +106,13 @@ class Case(
 
     task: Literal["motion", "field", "body", "rheology"] = key("what to compute", "motion")
     title: str = key("a line that names the case in summaries", "")
-    body: Body = key("the spheroid")
+    body: Body = key("the body; of several: bodies", None)
+    bodies: Bodies | None = key(
+        "several bodies in one fluid: a list of bodies, or {table: FILE.csv}",
+        None,
+        [{"aspect_ratio": 0.5}, {"aspect_ratio": 1.0, "size": 2.0}],
+    )
+    surroundings: Surroundings | None = key("what bounds the fluid; unset: nothing", None)
     flow: FlowSection | None = key("the background flow (task: body: may be left out)")
     start: Start = key("state at time 0", Start())
     forces: Forces = key("external force and torque, gravity", Forces())
@@ -131,6 +145,7 @@ class Case(
         if not isinstance(data, dict):
             return data
         opened = {name for name, k in cls.declared.items() if k.reader.section and k.default}
+        opened.add("body")
         data = {n: {} if value is None and n in opened else value for n, value in data.items()}
         task = data.get("task", "motion")
         if isinstance(task, str) and task in _MOVED:
@@ -138,17 +153,25 @@ class Case(
             raise Problem(f"{task} {wrong}", right, ("task",))
         if not isinstance(task, str) or task not in FOREIGN:
             return data
+        together = coupled(data)
         for path, right in FOREIGN[task].items():
+            if together and path == ("forces",):
+                continue
             holder: Any = data
             for part in path[:-1]:
                 holder = holder.get(part) if isinstance(holder, dict) else None
             if isinstance(holder, dict) and holder.get(path[-1]) is not None:
                 raise Problem(f"has no meaning for task: {task}", right, path)
+        if together:
+            data = prepared(data, task)
         if task == "rheology":
             data = {**data, "rheology": data.get("rheology") or {}}
         return {**data, "flow": data.get("flow") or None} if task == "body" else data
 
     def _check(self) -> None:
+        if self.body is None and self.bodies is None:
+            right = f"the body, with the keys {', '.join(Body.declared)}; for several: bodies"
+            raise Problem("is missing", right, ("body",))
         if self.task == "motion" and self.time is None:
             raise Problem("is missing", "task: motion needs it, with end, periods or at", ("time",))
         if self.task == "field":
@@ -163,8 +186,29 @@ class Case(
                 raise Problem(wrong, right, ("start",))
             if self.hydrodynamics.solve == "every_step":
                 raise Problem(wrong, right, ("hydrodynamics", "solve"))
-        self._check_forces()
-        self._check_uniform_radius()
+        if self.coupled:
+            check_members(self.members, self.forces, self.bodies is not None)
+        else:
+            self._check_forces()
+            self._check_uniform_radius()
+
+    @property
+    def wall(self) -> Surroundings | None:
+        """The wall, None where the fluid is unbounded."""
+        around = self.surroundings
+        return around if around is not None and around.type == "wall" else None
+
+    @property
+    def coupled(self) -> bool:
+        """Whether bodies share the fluid, or feel a wall."""
+        return self.bodies is not None or self.wall is not None
+
+    @property
+    def members(self) -> tuple[BodyEntry, ...]:
+        """The bodies of the scene, each with its start and its forces."""
+        if self.bodies is not None:
+            return self.bodies
+        return (BodyEntry(**vars(self.body), start=self.start),)
 
     def _check_forces(self) -> None:
         """Refuse weights without mass, and starts that a constraint leaves no room for."""

@@ -65,7 +65,7 @@ def _starter_lines(
     path: Path, key: Key, values: dict[str, Any], foreign: Collection[Path], pad: str
 ) -> list[str]:
     """Lines of a key and of what is below it. pad: what stands before them, a "# " included."""
-    name, section = path[-1], key.reader.section
+    name, section = path[-1], None if key.reader.listed else key.reader.section
     # One mark in front of a whole section that is commented out, none within it.
     pad += "" if name in values or "#" in pad else "# "
     comment = meaning_of(key)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.geometry import rotation
+
 Array = NDArray[np.float64]
 Vectors = ArrayLike | Callable[[float], ArrayLike]
 
@@ -101,6 +103,11 @@ class LoadRows:
         for place, vectors in self._timed:
             self._fill(place, vectors(t))
         return self.rows
+
+    def in_space(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Force and torque (columns, 3) in space at a time, on bodies of orientations q."""
+        force, own_force, torque, own_torque = self.at(t).reshape(4, 3, -1).swapaxes(1, 2)
+        return force + rotation.to_space(q, own_force), torque + rotation.to_space(q, own_torque)
 
     def _fill(self, place: int, vectors: ArrayLike) -> None:
         values = np.asarray(vectors, dtype=np.float64)

@@ -104,3 +104,8 @@ def own_bodies(nodes: list[int], comm: Any) -> list[int]:
         if rank == comm.getRank():
             own.append(b)
     return sorted(own)
+
+
+def over(comm: Any) -> Any:
+    """PETSc's communicator over the ranks of MPI's; None of a single one."""
+    return None if comm.size == 1 else PETSc.Comm(comm)

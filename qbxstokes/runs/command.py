@@ -140,7 +140,11 @@ def carry_out(job: Job) -> int:
     """Plan and summary of a single motion, body or field; returns the exit status."""
     loaded, options = job.loaded, job.options
     with job.clock.part("import"):
-        from qbxstokes.runs.summary import missed, plan_facts, plan_text, remarks, summary_text
+        if loaded.case.coupled:
+            from qbxstokes.runs.coupled_report import plan_facts, plan_text, summary_text
+        else:
+            from qbxstokes.runs.summary import plan_facts, plan_text, summary_text
+        from qbxstokes.runs.summary import missed, remarks
 
     if job.comm.rank == 0 and (options.dry_run or (options.explain and not options.json)):
         facts = {"case": str(loaded.path), "plan": plan_facts(job.plan, job.target)}
@@ -150,7 +154,9 @@ def carry_out(job: Job) -> int:
     job.start()
     run: Callable[[Job], dict[str, Any]]
     with job.clock.part("import"):
-        if loaded.case.task == "field":
+        if loaded.case.coupled:
+            from qbxstokes.runs.coupled import run_coupled as run
+        elif loaded.case.task == "field":
             from qbxstokes.runs.field import run_field as run
         elif loaded.case.task == "body":
             from qbxstokes.runs.body import run_body as run

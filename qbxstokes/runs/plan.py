@@ -68,6 +68,8 @@ def plan_of(loaded: LoadedCase) -> Plan:
     }
     if loaded.space is None and not loaded.case.output.merge:
         raise loaded.error("output.merge", "only a sweep has parts to show", "leave it out")
+    if loaded.case.coupled:
+        return plan_coupled(loaded)
     return makers[loaded.case.task](loaded)
 
 
@@ -168,6 +170,20 @@ def plan_body(loaded: LoadedCase) -> Plan:
     if case.compare.reference == "none":
         skips.append("comparison with closed forms (as asked)")
     return Plan(scene, tuple(needs), tuple(skips))
+
+
+def plan_coupled(loaded: LoadedCase) -> Plan:
+    """Plan with several bodies or a wall; raises CaseError for what the schema cannot see."""
+    from qbxstokes.simulation.from_bodies import coupled_of
+
+    with pointed(loaded):
+        scene = coupled_of(loaded)
+        scene.check()
+    nodes = scene.suspension.grids(scene.places, scene.flow)
+    grids = ", ".join(map(str, nodes[:8])) + (" ..." if len(nodes) > 8 else "")
+    needs = [f"grids that follow the gaps: {grids} polar nodes, twice as many azimuthal ones"]
+    needs.append(f"resistance: {6 * len(nodes)} solves, and as many on coarser grids: the error")
+    return Plan(scene, tuple(needs), ("unknowns on the wall: its answer to a flow is known",))
 
 
 def plan_rheology(loaded: LoadedCase) -> Plan:

@@ -13,6 +13,7 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
+from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan
@@ -44,7 +45,7 @@ _CHECKS = {
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     """Body and flow; where the body is, or what drives it and for how long."""
     case = loaded.case
-    shape, stokes = shape_text(case), case.body.stokes_number
+    shape, stokes = shape_text(case.body.outline), case.body.stokes_number
     if case.task == "motion":
         shape += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
     elif case.task == "field":
@@ -72,9 +73,8 @@ def _span(plan: MotionPlan) -> str:
     return f"{text}, {len(plan.times)} samples"
 
 
-def shape_text(case: Case) -> str:
+def shape_text(shape: Shape) -> str:
     """The body's shape and its numbers."""
-    shape = case.body.outline
     if not isinstance(shape, Spheroid):
         return str(shape)
     k = shape.aspect_ratio
@@ -181,7 +181,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
         "Skipped": () if of_field else listed(plan.skips),
         "Errors": _errors(summary),
         "Times": [("total", duration(times["total"])), ("parts", spent)],
-        "Result": _files(loaded, summary),
+        "Result": files(loaded, summary),
     }
     return render(loaded.case.title or f"Task {loaded.case.task}", str(loaded.path), sections)
 
@@ -222,7 +222,7 @@ def _errors(summary: dict[str, Any]) -> Rows:
         yield "", summary["note"]
 
 
-def _files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
+def files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
     """The files that were written."""
     yield "file", summary["result"]
     for name in summary.get("field", summary).get("files", ()):

@@ -14,7 +14,8 @@ from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 
 if TYPE_CHECKING:
-    from qbxstokes.simulation.suspension import Solution, Suspension
+    from qbxstokes.simulation.solved import Solution
+    from qbxstokes.simulation.suspension import Suspension
 
 Array = NDArray[np.float64]
 
@@ -157,27 +158,3 @@ def _crossing(
         else:
             begin = middle
     return end
-
-
-def field_of(found: Solution, flow: Flow | None, points: Array, t: float) -> dict[str, Array]:
-    """Velocity and pressure at points (P, 3) of space around solved bodies."""
-    problem = found.problem
-    inside = np.zeros(len(points), dtype=bool)
-    for body in problem.bodies:
-        inside |= body.shape.level(body.to_body(points)) < 1.0 - 1e-12
-    if problem.wall is not None:
-        inside |= problem.wall.height(points) < -1e-12
-    here = points[~inside]
-    u = np.zeros((len(here), 3)) if flow is None else np.array(flow.velocity(here, t))
-    p = np.zeros(len(here)) if flow is None else np.array(flow.pressure(here, t))
-    for c, sent in enumerate(found.flows):
-        table = problem.table_at(c, here, False)
-        u += problem.sent(c, sent, here, table)
-        p += table.pressure(sent) / problem.bodies[c].size
-        if problem.wall is not None:
-            image, pressure = problem.reflected(c, sent, here)
-            u += image
-            p += pressure
-    velocity, whole = np.full((len(points), 3), np.nan), np.full(len(points), np.nan)
-    velocity[~inside], whole[~inside] = u, p
-    return {"velocity": velocity, "pressure": whole, "source": np.where(inside, -1, 0)}

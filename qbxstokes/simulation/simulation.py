@@ -85,7 +85,7 @@ class Simulation:
         self.velocity = self._optional("velocity", velocity)
         self.angular_velocity = self._optional("angular_velocity", angular_velocity)
         self.loads, self.constraints = loads, constraints
-        self.events = _event_settings(events)
+        self.events = event_settings(events)
         if not 0.0 < tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
         self.tolerance = float(tolerance)
@@ -273,7 +273,8 @@ class Stack:
         return assemble(self.parts, workshop).motion(times)
 
 
-def _event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSettings:
+def event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSettings:
+    """The section `events` of a case from its keys."""
     if isinstance(given, EventSettings):
         return given
     try:

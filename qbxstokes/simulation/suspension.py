@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,8 @@ from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.solved import Solution
+from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -25,89 +26,6 @@ Array = NDArray[np.float64]
 MOST_RESISTANCE = 50
 # How much more closely the linear system is solved than the grids resolve.
 _SOLVER = 0.01
-
-
-class Wall:
-    """A plane wall: normal (3,) into the fluid, a point of it, and its own velocity, in its plane.
-
-    >>> import qbxstokes as qs
-    >>> qs.Wall(normal=[0, 2, 0]).normal
-    array([0., 1., 0.])
-    """
-
-    def __init__(
-        self,
-        normal: ArrayLike = (0.0, 1.0, 0.0),
-        point: ArrayLike = (0.0, 0.0, 0.0),
-        velocity: ArrayLike = (0.0, 0.0, 0.0),
-    ) -> None:
-        vectors = {"normal": normal, "point": point, "velocity": velocity}
-        found = {}
-        for name, given in vectors.items():
-            vector = np.asarray(given, dtype=np.float64)
-            if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-                raise SceneError(f"surroundings.{name}", f"is {given!r}", "three finite numbers")
-            found[name] = vector
-        length = float(np.linalg.norm(found["normal"]))
-        if length == 0.0:
-            raise SceneError("surroundings.normal", "has no direction", "a vector into the fluid")
-        self.normal, self.point = found["normal"] / length, found["point"]
-        self.velocity = found["velocity"]
-        through = float(self.velocity @ self.normal)
-        if abs(through) > 1e-12 * float(np.abs(self.velocity).max()):
-            raise SceneError(
-                "surroundings.velocity", "goes through the wall", "a velocity in its plane"
-            )
-
-    @property
-    def plane(self) -> Plane:
-        """The wall as the coupling sees it."""
-        return Plane(self.normal, self.point, self.velocity)
-
-    def check(self, flow: Flow, t: float = 0.0) -> None:
-        """Refuse a flow that has not the wall's velocity on the wall."""
-        across = np.linalg.svd(self.normal[None, :])[2][1:]
-        grid = np.stack(np.meshgrid([-7.0, -1.3, 0.0, 0.9, 4.0], [-5.0, -0.7, 0.4, 6.0]), axis=-1)
-        points = self.point + grid.reshape(-1, 2) @ across
-        slip = np.linalg.norm(flow.velocity(points, t) - self.velocity, axis=-1)
-        inside = np.linalg.norm(flow.velocity(points + self.normal, t), axis=-1).max()
-        scale = max(float(np.linalg.norm(self.velocity)), float(inside))
-        worst = int(np.argmax(slip))
-        if slip[worst] > 1e-9 * scale:
-            raise SceneError(
-                "flow",
-                f"slips on the wall: at {np.round(points[worst], 6).tolist()} its velocity differs "
-                f"by {slip[worst]:.3g} from the wall's",
-                "a flow with the wall's velocity on the wall, such as shear above the plane x2 = 0",
-            )
-
-
-@dataclass
-class Solution:
-    """One solved instant: each body's exterior flow, motion and load, and what the solver did.
-
-    velocity, angular_velocity, force, torque (N, 3), space frame; force and torque are exerted by
-    the bodies ON the fluid. iterations of GMRES, polar nodes of each body.
-    """
-
-    problem: Coupled
-    flows: list[Any]
-    velocity: Array
-    angular_velocity: Array
-    force: Array
-    torque: Array
-    iterations: int
-    unknowns: Array = field(repr=False)
-
-    @property
-    def nodes(self) -> list[int]:
-        """Polar nodes of each body's grid."""
-        return list(self.problem.nodes)
-
-    @property
-    def stresslet(self) -> Array:
-        """Stresslets (N, 3, 3), space frame, of the tractions on the bodies about their centres."""
-        return np.stack([self.problem.stresslet(b, flow) for b, flow in enumerate(self.flows)])
 
 
 class Suspension:
@@ -178,7 +96,9 @@ class Suspension:
 
     # -- one instant --------------------------------------------------------------------------
 
-    def grids(self, places: list[Placed], flow: Flow | None = None, t: float = 0.0) -> list[int]:
+    def grids(
+        self, places: Sequence[Placed], flow: Flow | None = None, t: float = 0.0
+    ) -> list[int]:
         """Polar nodes of each body, which resolve the gaps and the flow.
 
         Raises ContactError, and SceneError for a flow that is not one around the bodies.
@@ -191,7 +111,7 @@ class Suspension:
             for b, (count, place) in enumerate(zip(chosen, places, strict=True), start=1)
         ]
 
-    def problem(self, places: list[Placed], nodes: Sequence[int] | None = None) -> Coupled:
+    def problem(self, places: Sequence[Placed], nodes: Sequence[int] | None = None) -> Coupled:
         """The linear problem of the bodies where they are. Raises ContactError."""
         chosen = list(nodes or self.grids(places))
         own = None
@@ -213,10 +133,21 @@ class Suspension:
         Ordered body by body, force before torque, torque about each centre. nodes: polar nodes of
         each body, if not chosen by the gaps.
         """
+        return self._resistance(self.problem(self.placed(position, orientation), nodes))
+
+    def resistance_and_error(
+        self, position: ArrayLike, orientation: ArrayLike | None = None
+    ) -> tuple[Array, float]:
+        """Resistance as above, and the estimated error of its entries over the largest of them."""
+        places = self.placed(position, orientation)
+        problem = self.problem(places)
+        fine, coarse = map(self._resistance, (problem, self.problem(places, problem.coarser)))
+        return fine, problem.estimated(fine, coarse) / float(np.abs(fine).max())
+
+    def _resistance(self, problem: Coupled) -> Array:
         n = len(self)
         if n > MOST_RESISTANCE:
             raise SceneError("bodies", f"are {n}", f"at most {MOST_RESISTANCE} for the resistance")
-        problem = self.problem(self.placed(position, orientation), nodes)
         columns = [unit.reshape(n, 6) for unit in np.eye(6 * n)]
         found = self._held(problem, [(motion, None) for motion in columns])
         return np.stack([_loads(one) for one in found], axis=1)
@@ -237,7 +168,7 @@ class Suspension:
         nodes: Sequence[int] | None = None,
     ) -> Solution:
         """The bodies with given velocities (N, 3) or (3,) in a flow."""
-        self._check(flow, t)
+        self.check(flow, t)
         motion = np.concatenate([self._each(velocity), self._each(angular_velocity)], axis=1)
         places = self.placed(position, orientation)
         problem = self.problem(places, nodes or self.grids(places, flow, t))
@@ -260,7 +191,7 @@ class Suspension:
 
         guess: the unknowns of a solution with the same nodes, to start the solver from.
         """
-        self._check(flow, t)
+        self.check(flow, t)
         places = self.placed(position, orientation)
         problem = self.problem(places, nodes or self.grids(places, flow, t))
         loads = np.concatenate([self._each(force), self._each(torque)], axis=1)
@@ -318,10 +249,8 @@ class Suspension:
         source (P,): -1 for points inside a body or behind the wall, whose values are NaN, else 0.
         The bodies are free but for the loads of `free`.
         """
-        from qbxstokes.simulation.many import field_of
-
         found = self.free(flow, position, orientation, **loads)
-        return field_of(found, flow, np.asarray(points, float).reshape(-1, 3), loads.get("t", 0.0))
+        return found.field(flow, np.asarray(points, float).reshape(-1, 3), loads.get("t", 0.0))
 
     def integrate(
         self,
@@ -365,7 +294,12 @@ class Suspension:
             flows = solver.gathered(problem.flows(problem.split(x), False))
             loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
             steps = solver.iterations[-1] if solver.iterations else 0
-            found.append(Solution(problem, flows, *_parts(motion), *_parts(loads), steps, x))
+
+            def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
+                return self._held(self.problem(problem.bodies, nodes), [one])[0]
+
+            parts = *_parts(motion), *_parts(loads)
+            found.append(Solution(problem, flows, *parts, steps, x, again))
         solver.release()
         return found
 
@@ -389,7 +323,11 @@ class Suspension:
         steps = solver.iterations[-1] if solver.iterations else 0
         solver.release()
         flows = [flow for flow, _ in sent]
-        return Solution(problem, flows, *_parts(motions), *_parts(loads), steps, x)
+
+        def again(nodes: list[int]) -> Solution:
+            return self._free(self.problem(problem.bodies, nodes), loads, background, None)
+
+        return Solution(problem, flows, *_parts(motions), *_parts(loads), steps, x, again)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
@@ -424,7 +362,8 @@ class Suspension:
             raise SceneError("flow", f"takes {found} nodes on body {b}", f"at most {MOST_NODES}")
         return found
 
-    def _check(self, flow: Flow | None, t: float) -> None:
+    def check(self, flow: Flow | None, t: float = 0.0) -> None:
+        """Refuse a flow that slips on the wall."""
         if self.wall is not None:
             if flow is not None:
                 self.wall.check(flow, t)

@@ -1,0 +1,185 @@
+"""Sections `bodies` and `surroundings`: several bodies in one fluid, and the wall beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from qbxstokes.case.model import Direction, Positive, Reader, Section, Vector, key, several
+from qbxstokes.case.scene import WITH_FLOW, Body, Forces, Start
+from qbxstokes.case.values import Problem, at, describe, meant
+from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.tables import TableError, read_table
+
+# What a scene with several bodies or a wall aims at where the case does not say.
+TOLERANCE = 1e-6
+MOST = 1000
+
+
+class Surroundings(Section):
+    """What bounds the fluid: nothing, or a plane wall."""
+
+    type: Literal["wall", "unbounded"] = key("what bounds the fluid", example="wall")
+    normal: Direction = key("normal of the wall, into the fluid; normalised", (0.0, 1.0, 0.0))
+    point: Vector = key("a point of the wall", (0.0, 0.0, 0.0))
+    velocity: Vector = key("of the wall, in its plane: that of the flow there", (0.0, 0.0, 0.0))
+
+    def _check(self) -> None:
+        given = sorted(self.given_keys - {"type"})
+        if self.type == "unbounded" and given:
+            raise Problem("has no meaning for type: unbounded", "leave it out", (given[0],))
+
+
+class BodyEntry(Body):
+    """One of several bodies: its shape and size, where it starts, and what acts on it."""
+
+    size: Positive = key("polar radius c in the scene's unit of length", 1.0)
+    start: Start = key("position and orientation at time 0", Start())
+    forces: Forces | None = key(
+        "external force and torque, gravity; unset: those of the section forces", None
+    )
+
+
+_MANY = several(BodyEntry)
+
+
+def _bodies(value: Any) -> tuple[BodyEntry, ...]:
+    if not isinstance(value, (list, tuple)):
+        right = "a list of bodies, or {table: FILE.csv}"
+        raise Problem(f"is {describe(value)}", right)
+    if not 1 <= len(value) <= MOST:
+        raise Problem(f"holds {len(value)} bodies", f"1 to {MOST}")
+    return _MANY.read(value)
+
+
+_TABLE = {
+    "type": "object",
+    "properties": {"table": {"type": "string"}},
+    "required": ["table"],
+    "additionalProperties": False,
+}
+BODIES = Reader(_bodies, {"anyOf": [_MANY.json, _TABLE]}, BodyEntry, listed=True)
+Bodies = Annotated[tuple[BodyEntry, ...], BODIES]
+
+# Columns of a table of bodies, named as in results: where their numbers go in an entry.
+_COLUMNS: dict[str, tuple[str, ...]] = {
+    **{name: (name,) for name in ("aspect_ratio", "length_over_diameter", "size", "stokes_number")},
+    "position": ("start", "position"),
+    "axis": ("start", "orientation", "axis"),
+    "orientation": ("start", "orientation", "quaternion"),
+    "force": ("forces", "force"),
+    "torque": ("forces", "torque"),
+}
+_PARTS = {"position": "123", "axis": "123", "orientation": "0123", "force": "123", "torque": "123"}
+_NAMES = {
+    **{name: (name, None) for name in _COLUMNS if name not in _PARTS},
+    **{f"{name}_{part}": (name, i) for name in _PARTS for i, part in enumerate(_PARTS[name])},
+}
+
+
+def expanded(value: Any, folder: Path) -> Any:
+    """`bodies` with a table in place of its name as the list it stands for; raises Problem."""
+    if not isinstance(value, dict) or set(value) != {"table"}:
+        return value
+    with at("table"):
+        if not isinstance(value["table"], str):
+            raise Problem(f"is {describe(value['table'])}", "the name of a CSV file")
+        try:
+            table = read_table(folder / value["table"])
+        except TableError as error:
+            raise Problem(str(error), "a header and one line a body") from None
+        for name in table.names or ("",):
+            if name not in _NAMES:
+                right = meant(name, _NAMES, f"columns of {', '.join(_NAMES)}")
+                raise Problem(f"{table.path}: {name or 'has no header'} is no column", right)
+        lacking = [f"{n}_{p}" for n in _PARTS for p in _PARTS[n] if f"{n}_{p}" not in table.names]
+        for name in lacking:
+            whole = name.rpartition("_")[0]
+            if any(other.rpartition("_")[0] == whole for other in table.names):
+                raise Problem(f"{table.path}: {name} is missing", f"all components of {whole}")
+        return [_entry(table.names, row.tolist()) for row in table.numbers]
+
+
+def _entry(names: tuple[str, ...], row: list[float]) -> dict[str, Any]:
+    """The keys of one body from a row of a table."""
+    entry: dict[str, Any] = {}
+    for name, value in zip(names, row, strict=True):
+        column, place = _NAMES[name]
+        holder = entry
+        for part in _COLUMNS[column][:-1]:
+            holder = holder.setdefault(part, {})
+        last = _COLUMNS[column][-1]
+        if place is None:
+            holder[last] = value
+        else:
+            holder.setdefault(last, [0.0] * len(_PARTS[column]))[place] = value
+    return entry
+
+
+# Keys that have no meaning where bodies share a fluid or feel a wall.
+_FOREIGN = {
+    "constraints": "leave it out: all bodies are free",
+    "rheology": "leave it out, or use one body in an unbounded fluid",
+    "field": "leave it out; qs.Suspension(...).field gives the flow at points",
+}
+_TOLERANT = {
+    "hydrodynamics": ("tolerance",),
+    "events": ("clearance", "turning_points"),
+    "compare": ("reference",),
+}
+
+
+def coupled(data: dict[str, Any]) -> bool:
+    """Whether the plain data of a case have several bodies or a wall."""
+    around = data.get("surroundings")
+    return bool(data.get("bodies")) or (isinstance(around, dict) and around.get("type") == "wall")
+
+
+def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
+    """The data of a coupled scene with its own defaults; raises Problem for what it cannot have."""
+    data = dict(data)
+    if data.get("bodies"):
+        for name in ("body", "start"):
+            if data.get(name):
+                raise Problem("has no meaning beside bodies", "give it in bodies", (name,))
+    if task != "body":
+        wrong = f"is {task}, which a wall and several bodies do not have yet"
+        raise Problem(wrong, "task: body; motion by qs.Suspension(...).integrate", ("task",))
+    for name, right in _FOREIGN.items():
+        if data.get(name):
+            raise Problem("has no meaning with a wall or several bodies", right, (name,))
+    for section, known in _TOLERANT.items():
+        given = data.get(section)
+        for name in given if isinstance(given, dict) else ():
+            if name not in known:
+                wrong, right = "has no meaning with a wall or several bodies", "leave it out"
+                raise Problem(wrong, right, (section, name))
+    for section in ("hydrodynamics", "time"):
+        given = data.get(section)
+        if given is None and section == "hydrodynamics":
+            given = {}
+        if isinstance(given, dict) and "tolerance" not in given:
+            data[section] = {**given, "tolerance": TOLERANCE}
+    return data
+
+
+def check_members(members: Sequence[BodyEntry], forces: Forces, listed: bool) -> None:
+    """Refuse what bodies of one fluid cannot have; raises Problem."""
+    for index, body in enumerate(members):
+        with at(*(("bodies", index) if listed else ())):
+            own = () if listed else ("body",)
+            if body.stokes_number:
+                wrong, right = "is not 0", "bodies by a wall, or several, move without inertia"
+                raise Problem(wrong, right, (*own, "stokes_number"))
+            for name in ("velocity", "angular_velocity"):
+                if getattr(body.start, name) != WITH_FLOW:
+                    wrong = "has no meaning for a massless body (stokes_number: 0)"
+                    raise Problem(wrong, "leave it out", ("start", name))
+            gravity = (body.forces or forces).gravity
+            if gravity is not None and gravity.number is None:
+                right = "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight"
+                path = ("forces", "gravity", "acceleration")
+                raise Problem("needs a stokes_number > 0", right, path)
+            if body.shape is not None and not isinstance(body.outline, Spheroid):
+                raise Problem("is no spheroid", "spheroids: gaps are theirs", (*own, "shape"))

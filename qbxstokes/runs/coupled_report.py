@@ -1,0 +1,101 @@
+"""Plan and summary of a scene with several bodies or a wall."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.report import (
+    Rows,
+    counted,
+    duration,
+    error_text,
+    listed,
+    quantity,
+    render,
+    spent_text,
+    vector,
+)
+from qbxstokes.runs.summary import files, flow_text, shape_text
+
+_MANY = 6  # bodies that are told one by one
+
+
+def scene(loaded: LoadedCase) -> Rows:
+    """The bodies, what bounds the fluid, the flow."""
+    case = loaded.case
+    members = case.members
+    for body in members[:_MANY]:
+        size = "" if body.size == 1.0 else f", size {quantity(body.size)}"
+        yield "body", f"{shape_text(body.outline)}{size}, at ({vector(body.start.position)})"
+    if len(members) > _MANY:
+        yield "", f"and {len(members) - _MANY} more"
+    if case.wall is not None:
+        wall = case.wall
+        yield "wall", f"through ({vector(wall.point)}), normal ({vector(wall.normal)})"
+    if case.flow is not None:
+        yield "flow", flow_text(loaded)
+
+
+def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
+    """The plan as plain data."""
+    return {"needs": list(plan.needs), "skips": list(plan.skips), "output": str(target)}
+
+
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
+    """What the task needs, what it skips, and where the result goes."""
+    sections: dict[str, Rows] = {
+        "Scene": scene(loaded),
+        "Needs": listed(plan.needs),
+        "Skips": listed(plan.skips),
+        "Writes": [("", str(target))],
+    }
+    title = f"Plan: {loaded.case.title or loaded.case.task}"
+    return render(title, str(loaded.path), sections) + "\n"
+
+
+def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
+    """What was solved, what was found, estimated errors, times, and the files."""
+    times = summary["wall_times"]
+    sections: dict[str, Rows] = {
+        "Scene": scene(loaded),
+        "Solved": _solved(summary),
+        "Found": _found(summary),
+        "Skipped": listed(plan.skips),
+        "Estimated errors": _errors(summary["error_estimates"]),
+        "Times": [("total", duration(times["total"])), ("parts", spent_text(times))],
+        "Result": files(loaded, summary),
+    }
+    return render(loaded.case.title or f"Task {loaded.case.task}", str(loaded.path), sections)
+
+
+def _solved(summary: Mapping[str, Any]) -> Rows:
+    nodes = summary["nodes"]
+    least, most = min(nodes), max(nodes)
+    yield "grids", f"{least if least == most else f'{least} to {most}'} polar nodes"
+    yield "GMRES", counted(summary["iterations"], "iteration") + " for the free bodies"
+    if isfinite(summary["gap"]):
+        yield "least gap", f"{quantity(summary['gap'])}: {summary['nearest']}"
+
+
+def _found(summary: Mapping[str, Any]) -> Rows:
+    names = "free_velocity", "free_angular_velocity", "held_force", "held_torque"
+    for name in names:
+        values = summary.get(name)
+        if values is None:
+            continue
+        rows = values if values.ndim == 2 else values[None]
+        for number, row in enumerate(rows[:_MANY], start=1):
+            label = name.replace("_", " ") if number == 1 else ""
+            who = f"body {number}: " if values.ndim == 2 else ""
+            yield label or " ", f"{who}({vector(row)})"
+
+
+def _errors(errors: Mapping[str, float]) -> Rows:
+    for name, value in errors.items():
+        about = "of the largest entry" if name == "resistance" else ""
+        yield name.replace("_", " "), f"{error_text(value):9}{about}"

@@ -1,0 +1,91 @@
+"""From a case with several bodies, or a wall, to the simulation that it writes down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.bodies import BodyEntry
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import CaseError, FlowError
+from qbxstokes.motion.loads import Loads
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.coupled import CoupledSimulation
+from qbxstokes.simulation.from_case import end_of, start_quaternion
+from qbxstokes.simulation.timed import timed
+from qbxstokes.simulation.wall import Wall
+
+Array = NDArray[np.float64]
+_KINDS = ("force", "torque", "body_force", "body_torque")  # in the order of `Loads`
+
+
+def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
+    """The simulation of a case with several bodies or a wall.
+
+    comm: of PETSc, over whose ranks the bodies are dealt. Raises CaseError for tables and functions
+    that cannot be used, SceneError for a scene that cannot be.
+    """
+    case = loaded.case
+    bodies = [Body(shape=body.outline, size=body.size) for body in case.members]
+    wall = case.wall
+    return CoupledSimulation(
+        bodies if case.bodies is not None else bodies[0],
+        None if case.flow is None else loaded.flow,
+        None if wall is None else Wall(wall.normal, wall.point, wall.velocity),
+        position=np.array([body.start.position for body in case.members]),
+        orientation=np.stack([start_quaternion(b.start, b.outline) for b in case.members]),
+        loads=_loads_of(loaded),
+        events=case.events,
+        tolerance=case.hydrodynamics.tolerance if case.time is None else case.time.tolerance,
+        resolution=case.hydrodynamics.tolerance,
+        comm=comm,
+    )
+
+
+def _loads_of(loaded: LoadedCase) -> Loads | None:
+    """What acts on the bodies: vectors (N, 3), or functions of time; None where nothing does."""
+    case = loaded.case
+    end = 0.0 if case.time is None else end_of(loaded)
+    rows = [_loads_on(loaded, index, body, end) for index, body in enumerate(case.members)]
+    if not any(rows):
+        return None
+    return Loads(*(_stacked([row.get(kind) for row in rows]) for kind in _KINDS))
+
+
+def _loads_on(loaded: LoadedCase, index: int, body: BodyEntry, end: float) -> dict[str, Any]:
+    """Vectors of one body by kind."""
+    own = body.forces is not None
+    forces = body.forces if body.forces is not None else loaded.case.forces
+    found: dict[str, Any] = {}
+    for kind in _KINDS:
+        value = getattr(forces, kind)
+        if value is None:
+            continue
+        try:
+            found[kind] = timed(value, loaded.path.parent, end)
+        except (CaseError, FlowError) as error:
+            key = ("bodies", index, "forces", kind) if own else ("forces", kind)
+            raise loaded.error(key, str(error)) from None
+    if forces.gravity is not None:
+        direction = np.array(forces.gravity.direction)
+        net = forces.gravity.net(0.0) * body.outline.volume * body.size**3
+        weight = net * direction / np.linalg.norm(direction)
+        found["force"] = _sum(found.get("force", np.zeros(3)), weight)
+    return found
+
+
+def _sum(first: Any, constant: Array) -> Any:
+    if callable(first):
+        return lambda t: np.asarray(first(t)) + constant
+    return first + constant
+
+
+def _stacked(vectors: list[Any]) -> Array | Callable[[float], Array]:
+    """Vectors of all bodies as one (N, 3), or a function of time."""
+    whole = [np.zeros(3) if vector is None else vector for vector in vectors]
+    if not any(callable(vector) for vector in whole):
+        return np.stack(whole)
+    return lambda t: np.stack([v(t) if callable(v) else v for v in whole])

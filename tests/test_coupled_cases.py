@@ -1,0 +1,92 @@
+"""Cases with several bodies or a wall: what comes out is what Python gives, faults are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import qbxstokes as qs
+from qbxstokes.errors import CaseError, ContactError
+
+WALL = {"type": "wall", "normal": [0, 0, 1]}
+PAIR: dict[str, Any] = {
+    "task": "body",
+    "bodies": [
+        {"aspect_ratio": 0.5, "start": {"position": [0, 0, 0]}},
+        {"aspect_ratio": 1.0, "size": 0.5, "start": {"position": [3, 0, 0]}},
+    ],
+    "forces": {"gravity": {"number": 1.0}},
+    "hydrodynamics": {"tolerance": 1e-4},
+}
+
+
+def test_a_case_of_two_bodies_is_what_python_gives() -> None:
+    found = qs.run(PAIR)
+    scene = qs.Suspension([qs.Body(0.5), qs.Body(1.0, size=0.5)], tolerance=1e-4)
+    x = [[0, 0, 0], [3, 0, 0]]
+    assert np.array_equal(found.resistance, scene.resistance(x))
+    volumes = 4.0 * np.pi / 3.0 * np.array([0.25, 0.125])
+    force = -volumes[:, None] * np.array([0.0, 0.0, 1.0])
+    u, _ = scene.free_motion(None, x, force=force)
+    assert np.array_equal(found.free_velocity, u)
+    assert found.free_velocity.shape == (2, 3)
+    assert found.stresslet.shape == (2, 6)
+    assert "held_force" not in found.names
+    estimates = found.summary["error_estimates"]
+    assert 0.0 < estimates["resistance"] < 1e-4
+    assert found.summary["gap"] == pytest.approx(2.0)
+
+
+def test_a_table_stands_for_the_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = "aspect_ratio,size,position_1,position_2,position_3\n0.5,1,0,0,0\n1,0.5,3,0,0\n"
+    (tmp_path / "bodies.csv").write_text(rows)
+    monkeypatch.chdir(tmp_path)
+    tabled = qs.run({**PAIR, "bodies": {"table": "bodies.csv"}})
+    assert np.array_equal(tabled.resistance, qs.run(PAIR).resistance)
+    for header, told in (("sise", "did you mean size"), ("position_1,size", "position_2 is miss")):
+        (tmp_path / "wrong.csv").write_text(
+            f"{header},aspect_ratio\n" + "1," * (1 + header.count(",")) + "1\n"
+        )
+        with pytest.raises(CaseError, match=told):
+            qs.run({**PAIR, "bodies": {"table": "wrong.csv"}})
+
+
+def test_one_body_by_a_wall_has_no_axis_of_bodies() -> None:
+    case = {
+        "task": "body",
+        "body": {"aspect_ratio": 1.0},
+        "start": {"position": [0, 0, 2]},
+        "surroundings": WALL,
+        "hydrodynamics": {"tolerance": 1e-4},
+        "flow": {"type": "polynomial", "gradient": [[0, 0, 1], [0, 0, 0], [0, 0, 0]]},
+    }
+    found = qs.run(case)
+    assert found.free_velocity.shape == found.held_force.shape == (3,)
+    assert found.resistance.shape == (6, 6)
+    assert found.free_velocity[0] == pytest.approx(1.9, abs=0.1)
+    assert found.held_force[0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"constraints": {"rotation": "locked"}}, "constraints: has no meaning"),
+        ({"hydrodynamics": {"n_theta": 8}}, r"hydrodynamics.n_theta: has no meaning with a wall"),
+        ({"bodies": [{"aspect_ratio": 1, "stokes_number": 1}]}, r"stokes_number: is not 0"),
+        ({"bodies": [{"aspect_ratio": 1, "siz": 2}]}, r"bodies\[0\].siz: .*did you mean size"),
+        ({"surroundings": WALL, "flow": {"type": "shear"}}, "flow: slips on the wall"),
+        ({"surroundings": {"type": "unbounded", "point": [0, 0, 0]}}, "no meaning for type"),
+    ],
+)
+def test_faults_of_bodies_and_walls_are_told(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(CaseError, match=told):
+        qs.run({**PAIR, **change})
+
+
+def test_bodies_that_touch_are_refused() -> None:
+    bodies = [PAIR["bodies"][0], {**PAIR["bodies"][1], "start": {"position": [0.9, 0, 0]}}]
+    with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -0\.1"):
+        qs.run({**PAIR, "bodies": bodies})
