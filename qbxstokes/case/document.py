@@ -11,6 +11,7 @@ The data are made here from PyYAML's nodes rather than by its constructors, so t
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ import yaml
 
 from qbxstokes.case.model import Section
 from qbxstokes.case.values import Key, Problem
-from qbxstokes.errors import CaseError, escaped
+from qbxstokes.errors import CaseError, FlowError, escaped
 
 MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 24
@@ -287,12 +288,45 @@ def plain(value: Any) -> Any:
     return value
 
 
+def given(value: Any, name: str, key: Key = ()) -> Any:
+    """What a program gives in a case `name`, as a file has it.
+
+    Arrays and ranges become lists, paths text, flows and shapes their keys, functions and series
+    of gradients names (`flows.user.hand_over`). Raises CaseError, by its key, for anything else.
+    """
+    if isinstance(value, Mapping):
+        return {
+            str(inner): given(entry, name, (*key, str(inner))) for inner, entry in value.items()
+        }
+    if isinstance(value, np.ndarray | np.generic | range):
+        value = list(value) if isinstance(value, range) else value.tolist()
+    if isinstance(value, list | tuple):
+        return [given(entry, name, (*key, number)) for number, entry in enumerate(value)]
+    if hasattr(value, "spec"):
+        return given(value.spec(), name, key)
+    if callable(getattr(value, "function", value)):  # itself, or a series that makes one
+        from qbxstokes.flows.user import hand_over
+
+        try:
+            return hand_over(value)
+        except FlowError as error:
+            raise CaseError(f"{name}: {key_text(key)}: {error}") from None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if value is None or isinstance(value, str | int | float | Section):
+        return plain(value)
+    wrong = f"is {printable(repr(value), 60)}, of type {type(value).__name__}"
+    right = "numbers, text, lists and mappings of them, flows and functions stand in a case"
+    raise CaseError(f"{name}: {key_text(key)}: {wrong}; {right}")
+
+
 def document_of(keys: Mapping[str, Any], name: str = "case") -> Document:
-    """The document of a case given by its keys, in which arrays may stand for lists.
+    """The document of a case given by its keys (see `given`).
 
     name: what messages call it.
     """
-    return replace(parse(json.dumps(plain(keys), indent=1), name), is_file=False)
+    text = json.dumps(given(keys, name), indent=1)
+    return replace(parse(text, name), is_file=False)
 
 
 def written(keys: Mapping[str, Any]) -> str:

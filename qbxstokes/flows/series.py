@@ -257,7 +257,7 @@ class LinearInTime(Flow):
 
     def spec(self) -> dict[str, Any]:
         """The specification, where it can be written down."""
-        return self._spec or {"type": self.type_name, "gradient": repr(self._gradient)}
+        return self._spec or {"type": self.type_name, "gradient": self._gradient}
 
     def shifted(self, displacement: ArrayLike) -> Flow:
         """The flow moved."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
+from itertools import chain, count
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +26,9 @@ from qbxstokes.flows.values import Array, number, tensor
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
 # smooth on the straight way from the origin.
 _PRESSURE_NODES = 24
+# Where functions are that no file holds, but a program has given: `hand_over`.
+_PYTHON = "<python>.py"
+_handed: WeakValueDictionary[str, Any] = WeakValueDictionary()
 
 
 class UserFlow(Flow):
@@ -135,10 +141,11 @@ class UserFlow(Flow):
         return False
 
     def spec(self) -> dict[str, Any]:
-        """Specification; `function` names a file only if it was given so."""
+        """Specification; `function` names a file if it was given so."""
+        in_file = self.name.rpartition(":")[0].endswith(".py")
         return {
             "type": self.type_name,
-            "function": self.name,
+            "function": self.name if in_file else self.function,
             "length": self.length,
             "singular_points": self._singular_points.tolist(),
             "parameters": self.parameters,
@@ -161,12 +168,30 @@ def _name_of(function: Callable[..., Any]) -> str:
     return str(getattr(function, "__qualname__", repr(function)))
 
 
+def hand_over(value: Any) -> str:
+    """The name, in a case, of a function or series of a program, for as long as that holds it.
+
+    Raises FlowError for what Python cannot refer to weakly, such as a function written in C.
+    """
+    stem = re.sub(r"\W", "", _name_of(value).rpartition(".")[2]) or "function"
+    names = (f"{_PYTHON}:{stem}{end}" for end in chain([""], (f"_{n}" for n in count(2))))
+    name = next(name for name in names if _handed.get(name, value) is value)
+    try:
+        _handed[name] = value
+    except TypeError:
+        right = "write a function that calls it: lambda t: ..."
+        raise FlowError(f"{value!r} cannot be taken as it is; {right}") from None
+    return name
+
+
 def load_function(name: str) -> Callable[..., Any]:
-    """The function that "file.py:function" names; raises FlowError.
+    """The function that "file.py:function" names, or `hand_over`; raises FlowError.
 
     A file is executed once in a process, however many functions are taken from it and however
     often; one that has changed since is executed anew.
     """
+    if name in _handed:
+        return _handed[name]  # type: ignore[no-any-return]
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
     if not separator or path.suffix != ".py" or not attribute.isidentifier():
@@ -215,11 +240,11 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
     if result.get("type") == UserFlow.type_name and isinstance(result.get("function"), str):
         path, separator, attribute = result["function"].rpartition(":")
         if separator:
-            result["function"] = f"{_absolute(directory, path)}:{attribute}"
+            result["function"] = f"{absolute(directory, path)}:{attribute}"
     if isinstance(gradient := result.get("gradient"), str):
-        result["gradient"] = _absolute(directory, gradient)
+        result["gradient"] = absolute(directory, gradient)
     elif isinstance(gradient, Mapping) and "file" in gradient:
-        file = _absolute(directory, str(gradient["file"]))
+        file = absolute(directory, str(gradient["file"]))
         result["gradient"] = {**gradient, "file": file}
     if isinstance(result.get("terms"), list | tuple):
         result["terms"] = [
@@ -231,8 +256,10 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
     return result
 
 
-def _absolute(directory: str | Path, path: str) -> str:
+def absolute(directory: str | Path, path: str) -> str:
     """A path made absolute; one that no file can have stays, and is told as missing."""
+    if path.startswith(_PYTHON):
+        return path
     try:
         return str(Path(directory, path).resolve())
     except (OSError, ValueError):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from qbxstokes.case.document import document_of, parse, plain, read_text
+from qbxstokes.case.document import document_of, given, parse, read_text
 from qbxstokes.case.load import LoadedCase, checked
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io.results import Result, load
@@ -37,8 +37,9 @@ def run(
 ) -> Result:
     """Compute a case and return its result, arrays by name.
 
-    case: the keys of a case file as a dictionary, in which NumPy arrays may stand for lists, or the
-    path of a case file. Files that a dictionary names are relative to the working directory. file:
+    case: the keys of a case file as a dictionary, or the path of a case file. In a dictionary NumPy
+    arrays may stand for lists, flows (`qs.flow`) for their keys, and functions of Python wherever a
+    file names one. Files that it names are relative to the working directory. file:
     where to keep the result (a free name is numbered unless overwrite); None: for as long as this
     process lives. quiet: False prints the summary. Raises CaseError for a case that is wrong, and
     ConvergenceError where it cannot be computed; trajectories of a sweep that fail are told in its
@@ -72,14 +73,15 @@ def _computed(
     from qbxstokes.runs.parallel import on_root, world
 
     path = Path(f"{_NAME}.yaml") if isinstance(case, Mapping) else Path(case)
+    keys = given({**(case if isinstance(case, Mapping) else {}), **more}, _NAME)  # by all ranks
 
     def read() -> LoadedCase:
         if isinstance(case, Mapping):
-            document = document_of({**case, **more}, _NAME)
+            document = document_of(keys, _NAME)
         else:
             document = parse(read_text(path), str(path))
-            for key, value in more.items():
-                document.override(f"{key}={json.dumps(plain(value))}")
+            for key, value in keys.items():
+                document.override(f"{key}={json.dumps(value)}")
         document.override(f"output.file={json.dumps(str(target))}")
         if not merge:
             document.override("output.merge=false")
@@ -135,8 +137,8 @@ def sweep(
     >>> orbits.axis.shape
     (3, 101, 3)
     """
-    given = {"axes": [{key: values} for key, values in axes.items()], **section}
-    result = _computed(case, {"sweep": given}, file, overwrite, quiet, merge)
+    whole = {"axes": [{key: values} for key, values in axes.items()], **section}
+    result = _computed(case, {"sweep": whole}, file, overwrite, quiet, merge)
     return result  # type: ignore[return-value]
 
 

@@ -44,10 +44,10 @@ def timed(value: Any, folder: Path, end: float) -> Timed:
 
 
 def _user_function(name: str, folder: Path) -> Timed:
-    from qbxstokes.flows.user import load_function
+    from qbxstokes.flows.user import absolute, load_function
 
     path, _, attribute = name.rpartition(":")
-    function = load_function(f"{Path(folder, path).resolve()}:{attribute}")
+    function = load_function(f"{absolute(folder, path)}:{attribute}")
 
     def vector(t: float) -> ArrayLike:
         try:

@@ -83,21 +83,19 @@ def _shape_keys(shape: Shape) -> dict[str, Any]:
 
 def _flow_keys(flow: Flow) -> dict[str, Any]:
     keys = _plain(flow.spec())
-    if any(not name.rpartition(":")[0].endswith(".py") for name in _functions(keys)):
-        right = "a function in a file: function: FILE.py:NAME"
-        raise SceneError("flow.function", "is a Python function, which no file holds", right)
+    if not all(entry is None or isinstance(entry, str | int | float) for entry in _entries(keys)):
+        right = "a function in a file, FILE.py:NAME, or a file of a series"
+        raise SceneError("flow", "holds a Python function, which no file holds", right)
     return dict(keys)
 
 
-def _functions(keys: Any) -> Iterator[str]:
-    """Names of the functions in a specification."""
-    if isinstance(keys, list):
-        for entry in keys:
-            yield from _functions(entry)
-    elif isinstance(keys, dict):
-        if keys.get("type") == "user":
-            yield str(keys["function"])
-        yield from _functions(list(keys.values()))
+def _entries(keys: Any) -> Iterator[Any]:
+    """What stands in a specification, at any depth."""
+    if isinstance(keys, list | dict):
+        for entry in keys.values() if isinstance(keys, dict) else keys:
+            yield from _entries(entry)
+    else:
+        yield keys
 
 
 def _written_vector(name: str, value: Any) -> list[float]:
