@@ -4,6 +4,9 @@ Every error a user can cause or meet derives from `QbxStokesError`; the command 
 message (what, where, what would be right) and leaves with `exit_status`.
 """
 
+from importlib import import_module
+from typing import Any
+
 
 def escaped(text: str) -> str:
     """`text` on one line, with control and other unprintable characters as escape sequences."""
@@ -37,6 +40,21 @@ class SceneError(CaseError):
     def __init__(self, key: str, wrong: str, right: str = "") -> None:
         super().__init__(f"{key} {wrong}" + (f"; {right}" if right else ""))
         self.key, self.wrong, self.right = key, wrong, right
+
+
+class MissingPackageError(CaseError, ModuleNotFoundError):
+    """A library that only this needs is not installed."""
+
+
+def needed(package: str, what: str) -> Any:
+    """The library that `what` alone needs; raises MissingPackageError that says how to get it."""
+    try:
+        return import_module(package)
+    except ModuleNotFoundError:
+        right = f"python -m pip install {package}"
+        raise MissingPackageError(
+            f"{what} needs {package}, which is not installed: {right}"
+        ) from None
 
 
 class FlowError(CaseError):

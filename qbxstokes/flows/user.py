@@ -190,8 +190,8 @@ def load_function(name: str) -> Callable[..., Any]:
     A file is executed once in a process, however many functions are taken from it and however
     often; one that has changed since is executed anew.
     """
-    if name in _handed:
-        return _handed[name]  # type: ignore[no-any-return]
+    if str(name) in _handed:
+        return _handed[str(name)]  # type: ignore[no-any-return]
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
     if not separator or path.suffix != ".py" or not attribute.isidentifier():

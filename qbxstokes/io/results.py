@@ -10,7 +10,7 @@ attributes `format`, `format_version`, `task`, `conventions` at the root.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-_TOLD = ("units", "description")
-_ATTRIBUTES = (*_TOLD, "frame", "components", "coordinates")
+_ATTRIBUTES = ("units", "description", "frame", "components", "coordinates")
 
 
 class Result:
@@ -60,6 +59,11 @@ class Result:
         """Names of the datasets."""
         return list(self.arrays)
 
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the datasets by name."""
+        return {name: np.shape(data) for name, data in self.arrays.items()}
+
     def __getattr__(self, name: str) -> NDArray[Any]:
         arrays = self.__dict__.get("arrays", {})
         if name in arrays:
@@ -73,44 +77,36 @@ class Result:
         return [*super().__dir__(), *self.arrays]
 
     def __repr__(self) -> str:
-        shapes = ", ".join(f"{name}{list(data.shape)}" for name, data in self.arrays.items())
+        shapes = ", ".join(f"{name}{list(shape)}" for name, shape in self.shapes.items())
         return f"<{self.task} result {self.path}: {shapes}>"
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A table with one row per instant, columns such as position_1; needs pandas."""
-        import pandas as pd
+        """A table with a row per instant (per trajectory of a sweep), columns such as position_1.
 
-        columns: dict[str, NDArray[Any]] = {}
-        for name, data in self.arrays.items():
-            if name == "time" or len(data) != len(self.time):
-                continue
-            if data.ndim == 1:
-                columns[name] = data
-            else:
-                for label, column in zip(self._labels(name), data.T, strict=True):
-                    columns[f"{name}_{label}"] = column
-        return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+        Raises MissingPackageError without pandas.
+        """
+        from qbxstokes.io.export import to_pandas
+
+        return to_pandas(self)
 
     def to_xarray(self) -> xarray.Dataset:
-        """A Dataset over time with units and descriptions as attributes; needs xarray."""
-        import xarray as xr
+        """A Dataset with named axes, units and descriptions as attributes.
 
-        variables: dict[str, Any] = {}
-        coordinates: dict[str, Any] = {"time": ("time", self.time, self.attributes["time"])}
-        for name, data in self.arrays.items():
-            if name == "time":
-                continue
-            components = [f"{name}_component"] * (data.ndim - 1)
-            variables[name] = (["time", *components], data, self.attributes[name])
-            if data.ndim == 2:
-                coordinates[components[0]] = list(self._labels(name))
-        return xr.Dataset(variables, coordinates, {"title": str(self.path), "task": self.task})
+        Raises MissingPackageError without xarray.
+        """
+        from qbxstokes.io.export import to_xarray
 
-    def _labels(self, name: str) -> Sequence[str]:
-        labels = self.attributes[name].get("components")
-        if labels is None:
-            return [str(index + 1) for index in range(self.arrays[name].shape[1])]
-        return list(labels)
+        return to_xarray(self)
+
+    def export(self, path: str | Path) -> list[Path]:
+        """Write the table as .csv, all arrays as .npz, or with their axes as .nc (netCDF-4).
+
+        The ending of the name says which. Returns the files written, of a field as .csv one for
+        each set of points. Raises CaseError for another ending.
+        """
+        from qbxstokes.io.export import write
+
+        return write(self, Path(path))
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
@@ -157,10 +153,11 @@ class SweepResult(Result):
         """Number of points of every axis of the sweep."""
         return tuple(int(n) for n in np.atleast_1d(self.provenance["shape"]))
 
-    def __repr__(self) -> str:
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the datasets by name; nothing is read for them."""
         assert isinstance(self.arrays, LazyArrays)
-        shapes = ", ".join(f"{name}{list(shape)}" for name, shape in self.arrays.shapes.items())
-        return f"<sweep result {self.path}: {shapes}>"
+        return self.arrays.shapes
 
     def trajectory(self, number: int) -> Result:
         """One trajectory as the result of a motion; raises IndexError where there is none.
@@ -168,6 +165,8 @@ class SweepResult(Result):
         Only its own samples are read. `provenance["swept"]` holds its swept values.
         """
         import h5py
+
+        from qbxstokes.io.export import texts
 
         with h5py.File(self.path, "r") as file:
             if not 0 <= number < len(file["table"]):
@@ -178,55 +177,16 @@ class SweepResult(Result):
                 for name in self._samples()
                 if file[name].ndim > 1 or name == "time"
             }
-        summary = {name: _texts(row[name])[0].item() for name in row.dtype.names}
+        summary = {name: texts(row[name])[0].item() for name in row.dtype.names}
         swept = {name: summary.pop(name) for name in self.coordinates}
         header = {"task": "motion", "format_version": self.format_version}
         attributes = {name: self.attributes[name] for name in arrays}
         groups = {"provenance": {**self.provenance, "swept": swept}, "summary": summary}
         return Result(self.path, header, arrays, attributes, groups)
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """The table, one row per trajectory; needs pandas."""
-        import pandas as pd
-
-        table = self.arrays["table"]
-        columns = {name: _texts(table[name]) for name in table.dtype.names or ()}
-        return pd.DataFrame(columns, index=pd.RangeIndex(len(table), name="trajectory"))
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Table and samples over trajectory (with the swept values) and time; needs xarray."""
-        import xarray as xr
-
-        table = self.arrays["table"]
-        about = self.attributes["table"]
-        variables: dict[str, Any] = {}
-        coordinates: dict[str, Any] = {"trajectory": np.arange(len(table))}
-        for name in table.dtype.names or ():
-            told = {key: about[f"{name}: {key}"] for key in _TOLD if f"{name}: {key}" in about}
-            held = coordinates if name in self.coordinates else variables
-            held[name] = ("trajectory", _texts(table[name]), told)
-        for name, shape in self._samples().items():
-            attributes = {k: v for k, v in self.attributes[name].items() if k != "components"}
-            if name == "time":
-                second = ("trajectory", "sample") if len(shape) == 2 else ("time",)
-                coordinates["time"] = (second, self.arrays["time"], attributes)
-                continue
-            instants = "sample" if "sample" in self.arrays else "time"
-            dimensions = ["trajectory", instants]
-            if len(shape) == 3:
-                dimensions.append(f"{name}_component")
-                coordinates[f"{name}_component"] = list(self.attributes[name]["components"])
-            variables[name] = (dimensions, self.arrays[name], attributes)
-        return xr.Dataset(variables, coordinates, {"title": str(self.path), "task": self.task})
-
     def _samples(self) -> dict[str, tuple[int, ...]]:
-        assert isinstance(self.arrays, LazyArrays)
         known = {"table", "trajectory", "sample", *self.coordinates}
-        return {name: s for name, s in self.arrays.shapes.items() if name not in known}
-
-
-def _texts(column: NDArray[Any]) -> NDArray[Any]:
-    return np.char.decode(column, "ascii") if column.dtype.kind == "S" else column
+        return {name: shape for name, shape in self.shapes.items() if name not in known}
 
 
 def load(path: str | Path) -> Result:
