@@ -108,6 +108,28 @@ def test_converged_in_less_than_a_second(k: float, peclet: float) -> None:
     assert spent < 1.0
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_general_flows_within_five_times_that(seed: int) -> None:
+    """Every order of the harmonics, and sharp peaks: <S> to 1e-8; the estimate holds."""
+    body, gradient = qs.Body(1 / 25), random_gradient(seed)
+    flow = qs.flow("polynomial", gradient=gradient.tolist())
+    body.formed(1, "surface")
+    assert len(body.stress.numbers) == 3
+    begin = time.process_time()
+    found = qs.rheology(body, flow, 1000.0)
+    spent = time.process_time() - begin
+    own, homogeneous = particle(1 / 25), linear_flow(flow, [0, 0, 0])
+    density = Transport(homogeneous, own.linear).steady(1e-3, 230)
+    second, fourth = density.moments()
+    exact = own.hydrodynamic_stress(second, fourth, homogeneous.strain)
+    exact += own.brownian_stress(second, 1e-3)
+    error = np.abs(found.particle_stress - exact).max() / np.abs(exact).max()
+    assert error < 1e-8
+    assert error < 3.0 * found.error_estimate + 1e-13
+    assert np.abs(found.order_tensor - second).max() < 1e-8
+    assert spent < 5.0
+
+
 def test_turned_flows_turn_the_stress(rod: qs.Body) -> None:
     """Neither a general flow nor a turned shear knows the axes of space."""
     q, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))

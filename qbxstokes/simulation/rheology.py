@@ -23,7 +23,6 @@ from qbxstokes.suspension.fokker_planck import (
     Evolution,
     Transport,
     converged,
-    first_degree,
     isotropic,
 )
 from qbxstokes.suspension.orbits import Starts
@@ -307,7 +306,7 @@ def _one(
         strength = [rate(t) for t in instants.tolist()]
         return described(second, fourth, strength, last, degree)
 
-    start = first_degree(peclet, particle.linear)
+    start = transport.first_degree(peclet, tolerance)
     compute: Callable[[int], tuple[dict[str, Any], Array]]
     compute = steady if protocol == "steady" else transient
     parts, _, change = converged(compute, start, tolerance)
