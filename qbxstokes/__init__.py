@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from qbxstokes.runs.calls import sweep as sweep
     from qbxstokes.simulation.body import Body as Body
     from qbxstokes.simulation.body import flow as flow
+    from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_case import from_case as from_case
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import langevin as langevin
@@ -52,6 +53,7 @@ _PUBLIC = {
     "Suspension": "qbxstokes.simulation.suspension",
     "Wall": "qbxstokes.simulation.wall",
     "build_flow": "qbxstokes.flows",
+    "ensemble": "qbxstokes.simulation.ensemble",
     "flow": "qbxstokes.simulation.body",
     "from_case": "qbxstokes.simulation.from_case",
     "langevin": "qbxstokes.simulation.rheology",

@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.interpolation import INTERPOLATIONS, lagrange, window
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import load_function
 from qbxstokes.flows.values import Array, check_keys, tensor
 from qbxstokes.tables import TableError, read_table
 
-INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each one takes
 OUTSIDE = "error", "clamp", "repeat"
 TRACES = "project", "error"
 _TRACE = 1e-12
@@ -73,6 +73,11 @@ class GradientSeries:
         self.interpolation, self.trace_rule, self.outside = interpolation, trace, outside
         self.trace = 0.0
 
+    @classmethod
+    def from_file(cls, file: str | Path, **keys: Any) -> GradientSeries:
+        """Of an HDF5, netCDF-4, NPY or CSV file, by the keys of `series_of_file`."""
+        return series_of_file({"file": str(file), **keys})
+
     @property
     def paths(self) -> tuple[int, ...]:
         """Shape of the leading axes."""
@@ -90,34 +95,47 @@ class GradientSeries:
         """The series of one path, by its number in the order of the leading axes."""
         if not 0 <= number < len(self):
             raise FlowError(f"trajectory {number} of {len(self)}", ("trajectory",))
-        place = np.unravel_index(number, self.paths) if self.paths else ()
+        place = np.unravel_index(number, self.paths) if self.paths else ...
         return self._with(self.times, self.samples[place])
 
     def thinned(self) -> GradientSeries:
         """The same of every other sample."""
         return self._with(self.times[::2], self.samples[..., ::2, :])
 
+    def part(self, paths: slice, instants: slice) -> GradientSeries:
+        """Some of the paths, by their numbers, at some of the instants."""
+        whole = self.samples
+        if isinstance(whole, np.ndarray):
+            whole = whole.reshape(-1, *whole.shape[-2:])
+        return self._with(self.times[instants], whole[paths, instants])
+
     def _with(self, times: Array, samples: Any) -> GradientSeries:
         rules = {"interpolation": self.interpolation, "trace": self.trace_rule}
         return GradientSeries(times, samples, outside=self.outside, **rules)
 
-    def read(self, first: int, stop: int) -> Array:
-        """Samples (stop - first, T, 9) of some paths, traceless; raises FlowError for NaN."""
+    def read(self, first: int, stop: int, begin: int = 0, end: int | None = None) -> Array:
+        """Samples begin to end (stop - first, T, 9) of some paths, traceless.
+
+        Raises FlowError for what is no number.
+        """
         whole = self.samples
         if isinstance(whole, np.ndarray):
             whole = whole.reshape(-1, *whole.shape[-2:])
-        a = np.array(whole[first:stop], dtype=np.float64)
+        a = np.array(whole[first:stop, begin:end], dtype=np.float64)
         if a.shape[-1] == 8:
             a = np.concatenate([a, -(a[..., :1] + a[..., 4:5])], axis=-1)
-        if not np.isfinite(a).all():
+        size, least = float(np.max(a, initial=0.0)), float(np.min(a, initial=0.0))
+        if not (math.isfinite(size) and math.isfinite(least)):
             path, sample, _ = np.argwhere(~np.isfinite(a))[0]
-            raise FlowError(f"path {first + path}, sample {sample} of the series is not finite")
+            where = f"path {first + path}, sample {begin + sample}"
+            raise FlowError(f"{where} of the series is not finite")
+        size = max(size, -least)
         third = (a[..., 0] + a[..., 4] + a[..., 8]) / 3.0
-        size = float(np.abs(a).max())
         self.trace = max(self.trace, 3.0 * float(np.abs(third).max()) / size if size else 0.0)
         if self.trace_rule == "error" and self.trace > _TRACE:
             raise FlowError(f"the gradients have a trace, {self.trace:.3g} of their size")
-        a[..., (0, 4, 8)] -= third[..., None]
+        for i in (0, 4, 8):
+            a[..., i] -= third
         return a
 
     def inside(self, t: float) -> float:
@@ -149,24 +167,6 @@ class GradientSeries:
             return np.asarray(weights @ samples[first : first + count]).reshape(3, 3)
 
         return gradient
-
-
-def window(times: Array, t: float, count: int) -> int:
-    """First of the `count` samples that an instant is interpolated from."""
-    interval = min(max(int(np.searchsorted(times, t, "right")) - 1, 0), len(times) - 2)
-    if count == 1 and t >= times[-1]:
-        interval = len(times) - 1
-    return min(max(interval - count // 2 + 1 - (count == 1), 0), len(times) - count)
-
-
-def lagrange(nodes: Array, t: float) -> Array:
-    """Weights of the samples at `nodes` for the polynomial through them, at t."""
-    weights = np.ones(len(nodes))
-    for i, node in enumerate(nodes):
-        for j, other in enumerate(nodes):
-            if i != j:
-                weights[i] *= (t - other) / (node - other)
-    return weights
 
 
 class LinearInTime(Flow):
@@ -353,11 +353,11 @@ class InFile:
         self.ndim, self.dtype = 3, data.dtype
 
     def __getitem__(self, place: Any) -> Any:
-        if isinstance(place, tuple) and place[0] is Ellipsis:  # every other sample
-            return np.asarray(self[:])[place]
-        if isinstance(place, tuple):
-            return self[place[0]]
+        """By paths, or paths and instants; `...` before the instants stands for all paths."""
+        places = list(place) if isinstance(place, tuple) else [place]
+        places[0] = slice(None) if places[0] is Ellipsis else places[0]
+        paths, instants = [*places, slice(None)][:2]
         if not self._time_first:
-            return self._data[place]
-        part = self._data[:, place]
+            return self._data[paths, instants]
+        part = self._data[instants, paths]
         return np.swapaxes(part, 0, 1) if part.ndim == 3 else part

@@ -1,0 +1,361 @@
+"""Ensembles: bodies along many paths, of which statistics are kept and not the motions.
+
+Paths are followed in blocks of fixed size, which follow from their numbers alone, and blocks are
+added in their order: the numbers do not depend on who follows which. A block reads its gradients
+once, in tiles of time, for all bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.case.statistics import RATES, STRAINS, Statistics
+from qbxstokes.case.values import Problem
+from qbxstokes.errors import SceneError
+from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
+from qbxstokes.flows.series import GradientSeries
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
+
+Array = NDArray[np.float64]
+Sums = dict[str, NDArray[Any]]
+
+# Paths of a block, and instants of a tile of time.
+BLOCK, TILE = 256, 1024
+MOMENTS = 4
+# Squares of rates in units of 2 <E:E> of the first block: decades that their bins cover.
+_DECADES = -6.0, 3.0
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Bodies along all paths of a series, free of forces and without inertia.
+
+    axes: None, at random for each path, or (3,) or (paths, 3) at the start. tolerance: error
+    accepted of each axis at the end.
+    """
+
+    bodies: tuple[Body, ...]
+    series: GradientSeries
+    axes: Array | None = None
+    settings: Statistics = field(default_factory=lambda: Statistics.read({}))
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        """Raises SceneError for what cannot be followed."""
+        for body in self.bodies:
+            body.check_size()
+            if np.any(body.stokes_number):
+                raise SceneError("stokes_number", "is not 0", "0: bodies of ensembles are massless")
+        if not self.bodies:
+            raise SceneError("bodies", "are none", "one body at least")
+        if not 0.0 < self.tolerance <= 0.1:
+            raise SceneError("tolerance", f"is {self.tolerance:g}", "more than 0, at most 0.1")
+        if self.axes is not None and self.axes.shape not in ((3,), (self.paths, 3)):
+            right = f"(3,), or ({self.paths}, 3), one for each path"
+            raise SceneError("orientation", f"has shape {self.axes.shape}", right)
+        if len(self.looks) < 1:
+            raise SceneError("statistics", "leave no sample", "less discard")
+
+    @property
+    def paths(self) -> int:
+        """Number of paths."""
+        return len(self.series)
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return -(-self.paths // BLOCK)
+
+    @cached_property
+    def looks(self) -> NDArray[np.int64]:
+        """Samples at which something is looked at."""
+        last = len(self.series.times) - 1
+        return np.arange(int(np.ceil(self.settings.discard * last)), last, self.settings.every)
+
+    @cached_property
+    def lags(self) -> NDArray[np.int64]:
+        """Lags of the correlation, in looks: 0, and up to half of them in equal proportion."""
+        longest = len(self.looks) // 2
+        if not self.settings.correlation or longest < 1:
+            return np.zeros(1, dtype=np.int64)
+        steps = np.geomspace(1.0, longest, self.settings.correlation)
+        return np.unique(np.concatenate([[0], np.round(steps)]).astype(np.int64))
+
+    @property
+    def strained(self) -> bool:
+        """Whether axes of strain are asked for."""
+        return any(name in STRAINS for name in self.settings.quantities)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that is found, in the order of the sums."""
+        return (*RATES, *STRAINS) if self.strained else RATES
+
+    @cached_property
+    def laws(self) -> Array:
+        """lambda and 1/2 - |lambda|/2 of each body, (B, 2)."""
+        laws = [body.formed(1, None)[0].model.faxen for body in self.bodies]
+        return np.array([[law.linear, law.rest] for law in laws])
+
+    def starts(self, first: int, stop: int) -> Array:
+        """Axes (n, 3) at the start; those at random have a generator for each block."""
+        if self.axes is not None:
+            axes = np.broadcast_to(self.axes, (self.paths, 3))[first:stop]
+        else:
+            generator = np.random.default_rng([self.settings.seed, first // BLOCK])
+            axes = generator.standard_normal((BLOCK, 3))[: stop - first]
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    @cached_property
+    def rate(self) -> float:
+        """sqrt(2 <E:E>) over the first block at its first and last sample: the unit of bins."""
+        n, last = min(BLOCK, self.paths), len(self.series.times)
+        ends = [self.series.read(0, n, t, t + 1) for t in (0, last - 1)]
+        a = np.concatenate(ends).reshape(-1, 3, 3)
+        strain = 0.5 * (a + np.swapaxes(a, 1, 2))
+        return float(np.sqrt(2.0 * np.mean(np.sum(strain * strain, axis=(1, 2))))) or 1.0
+
+    @property
+    def floor(self) -> float:
+        """log10 of the first edge of the bins of rates squared."""
+        return 2.0 * float(np.log10(self.rate)) + _DECADES[0]
+
+    def block(self, number: int) -> Sums:
+        """What is found on the paths of a block."""
+        return self.follow(number)[0]
+
+    def follow(self, number: int, series: GradientSeries | None = None) -> tuple[Sums, Array]:
+        """Sums over a block, and its axes at the end; of another series of the same paths."""
+        from qbxstokes.motion import path_statistics
+        from qbxstokes.motion.paths import follow_axes
+
+        series = series or self.series
+        first, stop = number * BLOCK, min((number + 1) * BLOCK, self.paths)
+        n, b, q = stop - first, len(self.bodies), len(self.names)
+        windows, weights = power_weights(series.times, series.interpolation)
+        lengths = np.diff(series.times)
+        looks = self.looks if series is self.series else np.empty(0, dtype=np.int64)
+        places = np.full(len(lengths), -1)
+        places[looks] = np.arange(len(looks))
+        lags = np.full(self.lags[-1] + 1, -1)
+        lags[self.lags] = np.arange(len(self.lags))
+        bins, (low, high) = self.settings.bins, _DECADES
+        slenderness = np.maximum(
+            *(r := np.array([body.effective_ratio for body in self.bodies]), 1.0 / r)
+        )
+        tolerances = self.tolerance / (slenderness * (series.times[-1] - series.times[0]))
+        axes = np.repeat(self.starts(first, stop)[:, None], b, axis=1)
+        keep = min(n, self.settings.keep) if number == 0 and series is self.series else 0
+        kept, instants = np.empty((keep, len(looks), b, 3)), np.empty((len(looks), b, q, 2))
+        moments, rates = np.zeros((n, b, q, MOMENTS)), np.zeros((n, 2))
+        counts = np.zeros((b, q, bins + 2), dtype=np.int64)
+        origins, products = np.zeros((n, b, 3)), np.zeros((b, len(self.lags), 2))
+        for begin in range(0, len(lengths), TILE):
+            part = slice(begin, min(begin + TILE, len(lengths)))
+            low_sample = int(windows[part][0])
+            end_sample = int(windows[part][-1]) + weights.shape[2]
+            samples = series.read(first, stop, low_sample, end_sample)
+            here = places[part]
+            seen = np.zeros((len(here), b, q, 2))
+            axes_seen = np.empty((keep, len(here), b, 3))
+            follow_axes(
+                samples,
+                (windows[part] - low_sample, weights[part], lengths[part]),
+                self.laws,
+                tolerances,
+                axes,
+                path_statistics.Wanted(here, q, self.floor, bins / (high - low), lags),
+                path_statistics.Sums(moments, rates, counts, seen, origins, products),
+                axes_seen,
+            )
+            instants[here[here >= 0]] = seen[here >= 0]
+            kept[:, here[here >= 0]] = axes_seen[:, here >= 0]
+        count = max(len(looks), 1)
+        means, rates = moments / count, rates / count
+        sums = {
+            "paths": np.array([n]),
+            "means": np.stack([means.sum(axis=0), (means**2).sum(axis=0)]),
+            "rates": np.array([*rates.sum(axis=0), np.sum(rates[:, 0] ** 2)]),
+            "with_strain": np.einsum("pbq,p->bq", means[..., 0], rates[:, 0]),
+            "counts": counts,
+            "instants": instants,
+            "products": products,
+        }
+        return (sums | {"axes": kept} if keep else sums), axes
+
+    def sampling(self) -> dict[str, Any]:
+        """What the spacing of the samples leaves of the axes at the end, by the first block.
+
+        From the same run on every other sample, whose error is 2^order times as large; where the
+        number of samples is even, up to the last but one of them.
+        """
+        times = self.series.times
+        odd = len(times) - (len(times) + 1) % 2
+        order = INTERPOLATIONS[self.series.interpolation]
+        n = min(BLOCK, self.paths)
+        whole = self.series.part(slice(0, n), slice(0, odd))
+        if len(whole.thinned().times) < max(2, order):
+            return {}
+        fine, coarse = (self.follow(0, one)[1] for one in (whole, whole.thinned()))
+        off = np.linalg.norm(fine - coarse, axis=-1) / max(1.0, 2.0**order - 1.0)
+        return {
+            "axis_rms": float(np.sqrt(np.mean(off**2))),
+            "axis_median": float(np.median(off)),
+            "axis_90_percent": float(np.quantile(off, 0.9)),
+            "paths": n,
+        }
+
+    def result(self, blocks: Iterable[Sums], sampling: Mapping[str, Any] | None = None) -> Found:
+        """The statistics of all blocks, given in their order."""
+        total: Sums = {}
+        for sums in blocks:
+            for name, values in sums.items():
+                total[name] = total[name] + values if name in total else values.copy()
+        paths = int(total["paths"][0])
+        chosen = [self.names.index(name) for name in self.settings.quantities]
+        first, square = total["means"][:, :, chosen] / paths
+        strain, vorticity, strain_square = (total["rates"] / paths).tolist()
+        mixed = total["with_strain"][:, chosen] / paths
+
+        def error(variance: Array) -> Array:
+            return np.sqrt(np.maximum(variance, 0.0) / (paths - 1 if paths > 1 else np.nan))
+
+        # Of the ratio to <E:E>: the variance of what a path differs from the ratio's line.
+        ratio = first[..., 0] / strain if strain else np.full_like(mixed, np.nan)
+        off = square[..., 0] - 2.0 * ratio * mixed + ratio**2 * strain_square
+        looks, bins = len(self.looks), self.settings.bins
+        seen = total["instants"][:, :, chosen] / paths
+        spacing = np.linspace(0.0, 1.0, bins + 1)
+        decades = self.floor + spacing * (_DECADES[1] - _DECADES[0])
+        edges = [10.0**decades if self.names[i] in RATES[:2] else spacing for i in chosen]
+        value, number = np.moveaxis(total["products"], -1, 0)
+        lag_times = self.series.times[self.looks[self.lags]] - self.series.times[self.looks[0]]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation = value / number
+        return Found(
+            quantities=tuple(self.settings.quantities),
+            moments=first,
+            moments_error=error(square - first**2),
+            over_strain=ratio,
+            over_strain_error=error(off) / strain if strain else np.full_like(mixed, np.nan),
+            edges=np.array(edges),
+            counts=total["counts"][:, chosen],
+            time=self.series.times[self.looks],
+            mean_in_time=np.moveaxis(seen[..., 0], 0, -1),
+            spread_in_time=np.sqrt(
+                np.maximum(np.moveaxis(seen[..., 1] - seen[..., 0] ** 2, 0, -1), 0.0)
+            ),
+            lag=lag_times,
+            correlation=correlation,
+            axes=total.get("axes"),
+            summary={
+                "paths": paths,
+                "looks": looks,
+                "strain_squared": strain,
+                "vorticity_squared": vorticity,
+                "trace": self.series.trace,
+                "tolerance": self.tolerance,
+                "sampling": dict(sampling or {}),
+            },
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    """Statistics of B bodies, of Q quantities.
+
+    moments, moments_error (B, Q, 4): means of powers 1 to 4 over paths and time, and their standard
+    errors, paths being independent. over_strain, over_strain_error (B, Q): the means over <E:E>,
+    which is epsilon/(2 nu), and their errors. edges (Q, bins + 1), counts (B, Q, bins + 2): below,
+    in and beyond the bins. time (T,), mean_in_time, spread_in_time (B, Q, T): over paths. lag (L,),
+    correlation (B, L): <p(t).p(t + lag)>. axes (kept paths, T, B, 3). summary: numbers of paths and
+    looks, <E:E>, squared vorticity, the trace that was projected out, what the sampling leaves.
+    """
+
+    quantities: tuple[str, ...]
+    moments: Array
+    moments_error: Array
+    over_strain: Array
+    over_strain_error: Array
+    edges: Array
+    counts: NDArray[np.int64]
+    time: Array
+    mean_in_time: Array
+    spread_in_time: Array
+    lag: Array
+    correlation: Array
+    axes: Array | None
+    summary: dict[str, Any] = field(repr=False)
+
+    def mean(self, quantity: str) -> tuple[Array, Array]:
+        """Mean of a quantity, and its standard error, each (B,)."""
+        place = self.quantities.index(quantity)
+        return self.moments[:, place, 0], self.moments_error[:, place, 0]
+
+    def variance(self, quantity: str) -> Array:
+        """Variance of a quantity over paths and time, (B,)."""
+        first, second = self.moments[:, self.quantities.index(quantity), :2].T
+        return np.asarray(second - first**2)
+
+    def over_dissipation(self, quantity: str = "tumbling") -> tuple[Array, Array]:
+        """Mean of a squared rate times nu/epsilon = 1/(2 <E:E>), and its error, each (B,)."""
+        place = self.quantities.index(quantity)
+        return 0.5 * self.over_strain[:, place], 0.5 * self.over_strain_error[:, place]
+
+    def density(self, quantity: str) -> tuple[Array, Array]:
+        """Edges of bins (n + 1,) and probability densities in them (B, n)."""
+        place = self.quantities.index(quantity)
+        counts, edges = self.counts[:, place], self.edges[place]
+        share = counts[:, 1:-1] / counts.sum(axis=-1, keepdims=True)
+        return edges, share / np.diff(edges)
+
+
+def ensemble(
+    bodies: Body | Sequence[Body],
+    flow: GradientSeries,
+    *,
+    orientation: ArrayLike | str = "isotropic",
+    statistics: Mapping[str, Any] | None = None,
+    tolerance: float = 1e-6,
+) -> Found:
+    """Statistics of bodies along the paths of a series of velocity gradients.
+
+    bodies: one, or several that are independent of each other. flow: gradients along paths (paths,
+    T, 3, 3), in memory or in a file (`qs.GradientSeries`). orientation: "isotropic", at random for
+    each path, or axes (3,) or (paths, 3). statistics: keys of that section of a case. tolerance:
+    error accepted of each axis at the end, for the interpolant; summary["sampling"] says what the
+    samples leave. Memory does not grow with the number of paths.
+
+    >>> import numpy as np, qbxstokes as qs
+    >>> gradients = np.zeros((64, 101, 3, 3))
+    >>> gradients[..., 0, 1] = 1.0
+    >>> shear = qs.GradientSeries(np.linspace(0.0, 10.0, 101), gradients)
+    >>> found = qs.ensemble(qs.Body(0.5), shear, orientation=[0, 0, 1])
+    >>> found.mean("spinning")[0]  # log-rolling: half of the vorticity
+    array([0.25])
+    """
+    several = tuple(bodies) if isinstance(bodies, Sequence) else (bodies,)
+    if not isinstance(flow, GradientSeries):
+        raise SceneError("flow", f"is {type(flow).__name__}", "a qs.GradientSeries of many paths")
+    axes = None
+    if isinstance(orientation, str):
+        if orientation != "isotropic":
+            raise SceneError("orientation", f"is {orientation!r}", "isotropic, or axes (..., 3)")
+    else:
+        axes = np.asarray(orientation, dtype=np.float64)
+    try:
+        settings = Statistics.read(dict(statistics or {}))
+    except Problem as problem:
+        key = ".".join(["statistics", *map(str, problem.key)])
+        raise SceneError(key, problem.wrong, problem.right) from None
+    found = Ensemble(several, flow, axes, settings, tolerance)
+    sampling = found.sampling() if settings.sampling else {}
+    return found.result((found.block(number) for number in range(found.blocks)), sampling)

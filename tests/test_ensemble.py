@@ -1,0 +1,200 @@
+"""Ensembles of paths: against closed forms, and the numbers of a path apart from its company."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import qbxstokes as qs
+from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.reference.jeffery import axis_at
+from qbxstokes.simulation.ensemble import Ensemble
+
+Array = NDArray[np.float64]
+AXIS = np.array([0.48, 0.6, 0.64])
+
+
+@cache
+def body(k: float) -> qs.Body:
+    return qs.Body(k)
+
+
+def isotropic_gradients(generator: np.random.Generator, *shape: int) -> Array:
+    """Gaussian and isotropic, with <w^2> = 2 <E:E> as in homogeneous turbulence."""
+    a = generator.standard_normal((*shape, 3, 3))
+    strain = 0.5 * (a + np.swapaxes(a, -1, -2))
+    strain -= np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) / 3.0
+    # E:E is 5 (of five independent unit normals), a skew part of unit normals has w^2 = 6.
+    return strain + np.sqrt(5.0 / 3.0) * 0.5 * (a - np.swapaxes(a, -1, -2))
+
+
+def smooth_gradients(seed: int, paths: int, times: Array) -> Array:
+    generator = np.random.default_rng(seed)
+    rates = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
+    amplitude = 0.25 * isotropic_gradients(generator, paths, 5)
+    phase = generator.uniform(0.0, 6.28, (paths, 5))
+    return np.einsum("tpn,pnij->ptij", np.cos(times[:, None, None] * rates + phase), amplitude)
+
+
+def ends(found: Ensemble) -> Array:
+    """Axes of the first block at the end."""
+    return found.follow(0)[1]
+
+
+def test_isotropic_axes_and_gradients_tumble_as_they_must() -> None:
+    """<p'^2> nu/epsilon = 1/6 + lambda^2/10 (Shin & Koch, J. Fluid Mech. 540, 2005; Parsa et al.,
+
+    Phys. Rev. Lett. 109, 2012), and (Omega.p)^2 nu/epsilon = 1/12, whatever the shape.
+    """
+    a = isotropic_gradients(np.random.default_rng(11), 20_000, 1)
+    series = qs.GradientSeries([0.0, 1e-3], np.repeat(a, 2, axis=1), interpolation="hold")
+    ratios = np.array([0.02, 0.5, 1.0, 10.0])
+    found = qs.ensemble([body(k) for k in ratios], series, statistics={"sampling": False})
+    shape = (1.0 - ratios**2) / (1.0 + ratios**2)
+    for name, exact in (("tumbling", 1.0 / 6.0 + shape**2 / 10.0), ("spinning", 1.0 / 12.0)):
+        mean, error = found.over_dissipation(name)
+        assert np.all(error < 0.015 * mean)
+        assert np.all(np.abs(mean - exact) < 4.0 * error)
+    cosine, error = found.mean("cos_vorticity")
+    assert np.all(np.abs(cosine - 0.5) < 4.0 * error)
+    assert np.all(found.variance("cos_vorticity") == pytest.approx(1.0 / 12.0, rel=0.03))
+
+
+@pytest.mark.parametrize("k", [0.02, 0.2, 50.0])
+@pytest.mark.parametrize("interpolation", ["hold", "sextic"])
+def test_a_series_of_a_steady_shear_is_jefferys_orbit(k: float, interpolation: str) -> None:
+    gradient = np.zeros((3, 3))
+    gradient[0, 1] = 1.0
+    times = np.linspace(0.0, 10.0 * np.pi * (k + 1.0 / k), 701)
+    series = qs.GradientSeries(
+        times, np.broadcast_to(gradient, (1, 701, 3, 3)), interpolation=interpolation
+    )
+    for tolerance in (1e-4, 1e-7):
+        found = qs.ensemble(
+            body(k), series, orientation=AXIS, statistics={"keep": 1}, tolerance=tolerance
+        )
+        exact = axis_at(found.time, k, AXIS)
+        assert found.axes is not None
+        assert np.abs(found.axes[0, :, 0] - exact).max() < max(10.0 * tolerance, 2e-9)
+
+
+def test_gradients_that_are_held_turn_by_exponentials() -> None:
+    times = np.cumsum(np.random.default_rng(2).uniform(0.02, 2.0, 40))
+    a = smooth_gradients(3, 5, times)
+    k = 0.1
+    law = (1.0 - k * k) / (1.0 + k * k)
+    series = qs.GradientSeries(times, a, interpolation="hold")
+    found = ends(Ensemble((body(k),), series, AXIS, tolerance=1e-9))[:, 0]
+    for path, end in zip(a, found, strict=True):
+        p = AXIS
+        for length, gradient in zip(np.diff(times), path, strict=False):
+            turning = 0.5 * (gradient - gradient.T) + law * 0.5 * (gradient + gradient.T)
+            p = expm(length * turning) @ p
+        assert np.abs(end - p / np.linalg.norm(p)).max() < 1e-8
+
+
+@pytest.mark.parametrize(("interpolation", "k"), [("sextic", 0.1), ("linear", 5.0), ("hold", 50.0)])
+def test_every_path_keeps_its_tolerance(interpolation: str, k: float) -> None:
+    """Against SciPy's DOP853, sample by sample, with a pulse and uneven samples."""
+    generator = np.random.default_rng(5)
+    times = np.concatenate([[0.0], np.cumsum(generator.uniform(0.01, 0.6, 60))])
+    a = smooth_gradients(6, 8, times)
+    a[:4, 30] *= 30.0
+    law = (1.0 - k * k) / (1.0 + k * k)
+    series = qs.GradientSeries(times, a, interpolation=interpolation)
+    for path in (0, 7):
+        gradient = series.path(path).function()
+
+        def rate(t: float, p: Array) -> Array:
+            g = gradient(t)  # noqa: B023
+            pull = 0.5 * (g - g.T) @ p + law * 0.5 * (g + g.T) @ p
+            return np.asarray(pull - (p @ pull) * p)
+
+        p = AXIS
+        for begin, end in pairwise(times):
+            stop = np.nextafter(end, begin)
+            p = solve_ivp(rate, (begin, stop), p, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        for tolerance in (1e-3, 1e-6, 1e-9):
+            found = ends(Ensemble((body(k),), series, AXIS, tolerance=tolerance))
+            assert np.abs(found[path, 0] - p).max() < 10.0 * tolerance
+
+
+def test_ensembles_agree_with_the_integrator_of_scenes() -> None:
+    times = np.linspace(0.0, 6.0, 121)
+    a = smooth_gradients(8, 3, times)
+    series = qs.GradientSeries(times, a)
+    found = ends(Ensemble((body(0.2),), series, AXIS, tolerance=1e-7))
+    for path in range(3):
+        flow = qs.flow("linear", gradient=series, trajectory=path)
+        motion = body(0.2).integrate(flow, [6.0], orientation=AXIS, tolerance=1e-7)
+        assert np.abs(motion.axis[-1] - found[path, 0]).max() < 1e-6
+
+
+def test_a_path_does_not_depend_on_its_company(tmp_path: Path) -> None:
+    times = np.linspace(0.0, 4.0, 41)
+    a = smooth_gradients(9, 301, times).astype(np.float32)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["A"], file["t"] = np.swapaxes(a.reshape(301, 41, 9), 0, 1), times
+    series = qs.GradientSeries(times, a)
+    whole = Ensemble((body(0.2), body(5.0)), series, AXIS)
+    alone = Ensemble((body(0.2), body(5.0)), series.part(slice(37, 38), slice(None)), AXIS)
+    assert np.array_equal(ends(whole)[37], ends(alone)[0])
+    statistics = {"keep": 2, "quantities": ["tumbling", "cos_strain_1", "cos_strain_3"]}
+    found = qs.ensemble([body(0.2), body(5.0)], series, statistics=statistics)
+    lazy = qs.GradientSeries.from_file(tmp_path / "a.h5", layout=["time", "trajectory"])
+    again = qs.ensemble([body(0.2), body(5.0)], lazy, statistics=statistics)
+    assert np.array_equal(found.moments, again.moments)
+    assert found.counts.sum(axis=-1).tolist() == [[301 * 40] * 3] * 2
+    assert found.moments.shape == (2, 3, 4)
+    assert found.axes is not None
+    assert found.axes.shape == (2, 40, 2, 3)
+    assert found.correlation[:, 0] == pytest.approx(1.0)
+    mean = found.mean_in_time.mean(axis=-1)
+    assert mean == pytest.approx(found.moments[..., 0], rel=1e-12)
+
+
+def test_tiles_of_time_leave_the_numbers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = np.linspace(0.0, 4.0, 61)
+    series = qs.GradientSeries(times, smooth_gradients(9, 20, times))
+    statistics = {"every": 3, "discard": 0.2, "keep": 1}
+    one = qs.ensemble(body(0.2), series, statistics=statistics)
+    monkeypatch.setattr("qbxstokes.simulation.ensemble.TILE", 7)
+    other = qs.ensemble(body(0.2), series, statistics=statistics)
+    for name in ("moments", "counts", "mean_in_time", "correlation", "axes"):
+        values = getattr(other, name)
+        same = getattr(one, name) == pytest.approx(values, rel=1e-13 * (name == "correlation"))
+        assert same, name
+
+
+def test_what_the_sampling_leaves_is_told() -> None:
+    fine = np.linspace(0.0, 10.0, 801)
+    a = smooth_gradients(4, 40, fine)
+    exact = ends(Ensemble((body(0.2),), qs.GradientSeries(fine, a), AXIS, tolerance=1e-12))
+    for interpolation in ("sextic", "linear"):
+        series = qs.GradientSeries(fine[::8], a[:, ::8], interpolation=interpolation)
+        found = Ensemble((body(0.2),), series, AXIS, tolerance=1e-10)
+        true = np.median(np.linalg.norm(ends(found) - exact, axis=-1))
+        assert 0.3 * true < found.sampling()["axis_median"] < 30.0 * true
+
+
+def test_bad_input_is_refused() -> None:
+    times = np.linspace(0.0, 1.0, 11)
+    a = smooth_gradients(1, 3, times)
+    series = qs.GradientSeries(times, a)
+    with pytest.raises(SceneError, match="orientation"):
+        qs.ensemble(body(0.2), series, orientation=np.ones((2, 3)))
+    with pytest.raises(SceneError, match="bins"):
+        qs.ensemble(body(0.2), series, statistics={"bins": 0})
+    with pytest.raises(SceneError, match="flow"):
+        qs.ensemble(body(0.2), qs.flow("shear"))  # type: ignore[arg-type]
+    a[1, 4, 0, 0] = np.nan
+    with pytest.raises(FlowError, match="path 1, sample 4"):
+        qs.ensemble(body(0.2), qs.GradientSeries(times, a))
