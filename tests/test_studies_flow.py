@@ -43,10 +43,19 @@ def test_sample_run_moves_to_higher_shear(run_study: Run) -> None:
     assert found["displacement, k = 0.5"] == pytest.approx(0.0390, abs=1e-4)
 
 
-def test_suspensions_are_those_of_scheraga_and_simha(run_study: Run) -> None:
+def test_suspensions_are_those_of_the_literature(run_study: Run) -> None:
     found = run_study("rheology")
     assert found["largest difference from Scheraga's digits"] == 0.0
     assert found["Simha's formula at 25:1, relative"] < 0.01
+    assert found["sphere"] < 1e-12
+    assert found["table of Mehl et al., largest"] < 2e-3
+    assert found["rod of 50:1, large Pe"] < 0.015
+    assert found["disc of 1:50, large Pe"] < 3e-3
+    assert max(found["rod, least"], found["disc, least"]) < 5e-4
+    assert found["dumbbell, Psi_1 at rest"] < 1e-6
+    assert max(found["[eta], second order"], found["Psi_1, second order"]) < 1e-3
+    assert found["Psi_1 (rate lambda)^(4/3)"] < 5e-3
+    assert found["extension, relative"] < 1e-9
     assert found["smallest N1"] > 0.0
     assert found["largest N2"] < 0.0
     assert found["small oscillations, relative"] < 1e-6

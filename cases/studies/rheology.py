@@ -1,21 +1,29 @@
 """Dilute suspensions of Brownian spheroids in shear: material functions over the Peclet number.
 
 Intrinsic viscosity and normal stress differences of rods and discs, their limits over the aspect
-ratio, and published numbers: viscosities at small Peclet number tabulated by Scheraga, Simha's
-formula for slender rods, Jeffery's extremes of the dissipation over orbits, the one relaxation time
-of small oscillations.
+ratio, and what has been published: tables and formulas of viscosities at small and at large Peclet
+numbers, Jeffery's least ones, series and asymptotes of rigid dumbbells, the density in a flow
+without vorticity, the one relaxation time of small oscillations.
 
-Papers:   R. Simha 1940, J. Phys. Chem. 44, 25; H. A. Scheraga 1955, J. Chem. Phys. 23, 1526; G. B.
-          Jeffery 1922, Proc. R. Soc. A 102, 161; G. K. Batchelor 1970, J. Fluid Mech. 41, 545;
-          E. J. Hinch & L. G. Leal 1972, J. Fluid Mech. 52, 683; H. Brenner 1974, Int. J. Multiphase
-          Flow 1, 195.
-Run:      python cases/studies/rheology.py      (20 s)
-Expected: 2.908, 5.806, 13.63, 55.19 to every digit at small Pe; Simha's formula within 1 % at 25:1;
-          N1 positive and N2 negative everywhere; small oscillations to 1e-6.
+Papers:   A. Einstein 1911, Ann. Phys. 339, 591; G. B. Jeffery 1922, Proc. R. Soc. A 102, 161; R.
+          Simha 1940, J. Phys. Chem. 44, 25; J. W. Mehl, J. L. Oncley & R. Simha 1940, Science 92,
+          132; H. A. Scheraga 1955, J. Chem. Phys. 23, 1526; G. K. Batchelor 1970, J. Fluid Mech.
+          41, 545; W. E. Stewart & J. P. Sorensen 1972, Trans. Soc. Rheol. 16, 1; E. J. Hinch & L.
+          G. Leal 1972, J. Fluid Mech. 52, 683; H. Brenner 1974, Int. J. Multiphase Flow 1, 195; R.
+          B. Bird et al. 1987, Dynamics of Polymeric Liquids 2, chapter 14.
+Run:      python cases/studies/rheology.py      (40 s)
+Expected: a sphere 2.5; rods of 2, 5, 10 and 25 to one 2.908, 5.806, 13.63, 55.19 to every digit
+          (Scheraga), the 26 entries of Mehl, Oncley & Simha to 0.7 %, half of them to 0.04 %;
+          Simha's formula to 0.7 % at 25:1; least values 2.000 of rods and 2.061 of discs (Jeffery);
+          at large Pe Brenner's formulas to 1.3 % (rod of 50:1) and 0.2 % (disc of 1:50);
+          dumbbells: the series' 18/35 and 38/35 to 0.04 %, at large Pe 0.658 and 1.203 where
+          Stewart & Sorensen have 0.678 and 1.20; extension and small oscillations to 1e-7;
+          N1 > 0 > N2 everywhere.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 
 import common
@@ -24,9 +32,17 @@ from common import Table
 
 import qbxstokes as qs
 from qbxstokes.plots import style
+from qbxstokes.simulation.rheology import linear_flow
+from qbxstokes.suspension.fokker_planck import Transport
+from qbxstokes.suspension.particle import Particle
 
 SHEAR = qs.flow("shear")
-PUBLISHED = {2: 2.908, 5: 5.806, 10: 13.63, 25: 55.19}
+SCHERAGA = {2: 2.908, 5: 5.806, 10: 13.63, 25: 55.19}
+# Mehl, Oncley & Simha: viscosity increments at small Peclet number, prolate and oblate.
+PROLATE = {2: 2.91, 3: 3.68, 4: 4.66, 5: 5.81, 6: 7.10, 8: 10.10, 10: 13.63, 12: 17.76, 15: 24.8}
+PROLATE |= {20: 38.6, 25: 55.2, 30: 74.5, 40: 120.8, 50: 176.5}
+OBLATE = {2: 2.85, 3: 3.43, 4: 4.06, 5: 4.71, 6: 5.36, 8: 6.70, 10: 8.04, 12: 9.39, 15: 11.42}
+OBLATE |= {20: 14.80, 25: 18.19, 30: 21.6}
 NAMES = ("intrinsic_viscosity", "first_normal_stress_difference", "second_normal_stress_difference")
 
 
@@ -36,10 +52,56 @@ def simha(r: float) -> float:
     return r * r / (15.0 * (log - 1.5)) + r * r / (5.0 * (log - 0.5)) + 14.0 / 15.0
 
 
+def brenner(k: float) -> float:
+    """[eta] of slender rods and flat discs at large Peclet numbers (Brenner 1974)."""
+    if k > 1.0:
+        return 3.183 - 1.792 / k
+    return 2.0 + (0.312 / k - 0.5) / (math.log(2.0 / k) - 1.5) - 1.872 * k
+
+
+@functools.cache
+def body(k: float) -> qs.Body:
+    """The spheroid of an aspect ratio, formed once."""
+    return qs.Body(k)
+
+
+def viscosity(k: float, number: float, **keys: object) -> float:
+    """[eta] of spheroids in shear."""
+    return float(qs.rheology(body(k), SHEAR, number, **keys).intrinsic_viscosity)
+
+
+def dumbbell(number: float, degree: int) -> tuple[float, float]:
+    """[eta] and Psi_1 in units of n kT lambda and n kT lambda^2 of rigid dumbbells in shear.
+
+    lambda = 1/(6 D). Their stress is 3 n kT <pp> + 6 n kT lambda <pppp>:E; the flow turns them as
+    slender rods.
+    """
+    drift = Transport(linear_flow(SHEAR, [0, 0, 0]), 1.0)
+    beads = Particle(np.array([2.0 / 3.0, 0.0, 0.0]), 1.0, 1.0, 1.0)
+    second, fourth = drift.steady(1.0 / number, degree).moments()
+    stress = beads.hydrodynamic_stress(second, fourth, drift.flow.strain)
+    stress = stress + beads.brownian_stress(second, 1.0 / number)
+    found = drift.flow.material_functions(stress)
+    # n kT lambda is zeta/6 here, Psi_1 = N1/rate^2 and lambda = Pe/6.
+    return 6.0 * float(found[NAMES[0]]), 36.0 / number * float(found[NAMES[1]])
+
+
+def extension(k: float, number: float) -> float:
+    """Relative error of <pp> in uniaxial extension against psi ~ exp(lambda Pe p.E.p/2)."""
+    flow = qs.flow("polynomial", gradient=np.diag([-0.5, -0.5, 1.0]).tolist())
+    found = qs.rheology(body(k), flow, number)
+    z, weights = np.polynomial.legendre.leggauss(400)
+    linear = (1.0 - k * k) / (1.0 + k * k)
+    # The rate is sqrt(2 E:E) = sqrt(3), and p.E.p = (3 z^2 - 1)/2.
+    density = weights * np.exp(0.75 * linear * number / math.sqrt(3.0) * (z * z - 1.0))
+    exact = float(np.sum(density * z * z) / np.sum(density))
+    return abs(float(found.order_tensor[2, 2]) / exact - 1.0)
+
+
 def curves(ratios: list[float], numbers: list[float], found: Table) -> None:
     """Material functions of bodies k over Peclet numbers."""
     for k in ratios:
-        result = qs.rheology(qs.Body(k), SHEAR, numbers)
+        result = qs.rheology(body(k), SHEAR, numbers)
         for index, number in enumerate(numbers):
             values = {name: float(getattr(result, name)[index]) for name in NAMES}
             found.add(aspect_ratio=k, peclet_number=number, **values)
@@ -47,20 +109,15 @@ def curves(ratios: list[float], numbers: list[float], found: Table) -> None:
 
 def limits(ratios: list[float], found: Table) -> None:
     """[eta] at small Pe, and over orbits: rolling, tumbling, isotropic at first."""
+    starts = {"rolling": [0, 0, 1], "tumbling": [1, 0, 0], "isotropic": "isotropic"}
     for k in ratios:
-        body = qs.Body(k)
-        at_rest = qs.rheology(body, SHEAR, 1e-6).intrinsic_viscosity
-        starts = {"rolling": [0, 0, 1], "tumbling": [1, 0, 0], "isotropic": "isotropic"}
-        orbits = {
-            name: float(qs.rheology(body, SHEAR, np.inf, orientations=start).intrinsic_viscosity)
-            for name, start in starts.items()
-        }
-        found.add(aspect_ratio=k, at_rest=float(at_rest), **orbits)
+        orbits = {name: viscosity(k, np.inf, orientations=start) for name, start in starts.items()}
+        found.add(aspect_ratio=k, at_rest=viscosity(k, 1e-6), **orbits)
 
 
 def oscillation(k: float) -> float:
     """Relative error of the complex viscosity at w = 6 D against one relaxation time."""
-    result = qs.rheology(qs.Body(k), SHEAR, 0.006, protocol="oscillation", amplitude=1e-3)
+    result = qs.rheology(body(k), SHEAR, 0.006, protocol="oscillation", amplitude=1e-3)
     facts = result.summary
     phase = np.exp(-1j * facts["frequency"] * result.time[:-1])
     measured = 2.0 * np.mean(result.intrinsic_viscosity[:-1] * phase)
@@ -88,8 +145,59 @@ def draw(table: Table, ends: Table) -> None:
             panels[3].loglog(ends["aspect_ratio"], ends[name], label=name.replace("_", " "), **look)
         panels[3].set_xlabel("aspect ratio $k$")
         panels[3].set_ylabel(r"$[\eta]$")
-        style.legend_above(panels[3], columns=4)
+        style.legend_above(panels[3], columns=2)
         style.letter_panels(panels)
+
+
+def published(small: bool) -> dict[str, float]:
+    """A table of what is ours and what is published; the differences."""
+    rods = {r: v for r, v in PROLATE.items() if r in SCHERAGA or not small}
+    discs = {r: v for r, v in OBLATE.items() if r in SCHERAGA or not small}
+    rest = {k: viscosity(k, 1e-6) for k in [1 / r for r in rods] + [float(r) for r in discs]}
+    pairs = [(rest[1 / r], value) for r, value in rods.items()]
+    pairs += [(rest[float(r)], value) for r, value in discs.items()]
+    tabulated = sorted(abs(ours / value - 1.0) for ours, value in pairs)
+    low, high = dumbbell(1e-4, 12), dumbbell(1e5, 400)
+    slow, x, y = dumbbell(0.1, 20), 0.1 / 6.0, 1e5 / 6.0
+    weak = {k: viscosity(k, 1e7, tolerance=1e-4) for k in (1 / 50, 50.0)}
+    # The least value of discs has an error of order 1/k.
+    flat = [viscosity(k, np.inf, orientations=[1, 0, 0]) for k in (25.0, 50.0)]
+    rows = [
+        ("sphere", viscosity(1.0, 1.0), 2.5, "Einstein"),
+        *((f"rod of {r}:1, small Pe", rest[1 / r], v, "Scheraga") for r, v in SCHERAGA.items()),
+        ("rod of 25:1, small Pe", rest[1 / 25], simha(25.0), "Simha, slender rods"),
+        *((f"rod of {r}:1, small Pe", rest[1 / r], v, "Mehl et al.") for r, v in rods.items()),
+        *((f"disc of 1:{r}, small Pe", rest[r], v, "Mehl et al.") for r, v in discs.items()),
+        ("rod of 50:1, large Pe", weak[1 / 50], brenner(1 / 50), "Brenner"),
+        ("disc of 1:50, large Pe", weak[50.0], brenner(50.0), "Brenner"),
+        ("rod, least", viscosity(1 / 50, np.inf, orientations=[0, 0, 1]), 2.0, "Jeffery"),
+        ("disc, least", 2.0 * flat[1] - flat[0], 2.061, "Jeffery"),
+        ("dumbbell, Psi_1 at rest", low[1], 1.2, "Bird et al."),
+        (
+            "[eta], second order",
+            (1.0 - slow[0] / low[0]) / x**2,
+            18 / 35,
+            "Bird et al.",
+        ),
+        ("Psi_1, second order", (1.0 - slow[1] / low[1]) / x**2, 38 / 35, "Bird et al."),
+        ("[eta] (rate lambda)^(1/3)", high[0] * y ** (1 / 3), 0.678, "Stewart & Sorensen"),
+        ("Psi_1 (rate lambda)^(4/3)", high[1] * y ** (4 / 3), 1.20, "Stewart & Sorensen"),
+    ]
+    common.markdown(
+        ("[eta], or of a dumbbell", "here", "published", "by"),
+        [(name, f"{ours:.5g}", f"{value:.5g}", who) for name, ours, value, who in rows],
+    )
+    found = {name: abs(ours / value - 1.0) for name, ours, value, _ in rows[-9:]}
+    return {
+        "sphere": abs(rows[0][1] / 2.5 - 1.0),
+        "largest difference from Scheraga's digits": max(
+            abs(float(f"{rest[1 / r]:.4g}") - value) for r, value in SCHERAGA.items()
+        ),
+        "Simha's formula at 25:1, relative": abs(simha(25.0) / rest[1 / 25] - 1.0),
+        "table of Mehl et al., largest": tabulated[-1],
+        "table of Mehl et al., median": tabulated[len(tabulated) // 2],
+        **found,
+    }
 
 
 def main(small: bool) -> dict[str, float]:
@@ -103,21 +211,12 @@ def main(small: bool) -> dict[str, float]:
     table.write()
     ends.write()
     draw(table, ends)
-    rest = {
-        r: float(qs.rheology(qs.Body(1 / r), SHEAR, 1e-6).intrinsic_viscosity) for r in PUBLISHED
-    }
-    common.markdown(
-        ("r", "[eta] at small Pe", "Scheraga"),
-        [(f"{r}", f"{rest[r]:.4g}", f"{value:g}") for r, value in PUBLISHED.items()],
-    )
     return {
-        "largest difference from Scheraga's digits": max(
-            abs(float(f"{rest[r]:.4g}") - value) for r, value in PUBLISHED.items()
-        ),
-        "Simha's formula at 25:1, relative": abs(simha(25.0) / rest[25] - 1.0),
+        **published(small),
+        "extension, relative": max(extension(k, 20.0) for k in (0.2, 5.0)),
+        "small oscillations, relative": oscillation(0.2),
         "smallest N1": table[NAMES[1]].min(),
         "largest N2": table[NAMES[2]].max(),
-        "small oscillations, relative": oscillation(0.2),
     }
 
 
