@@ -91,7 +91,7 @@ def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
 def test_light_bodies_take_explicit_steps_where_implicit_ones_round_too_much() -> None:
     equations = RigidBodyEquations(exact_model(Spheroid(0.5)), SHEAR, 1e-2)
     coarse, fine = (
-        integrate(equations, start_of(equations), [20.0], tolerance, t0=19.9).checkpoint.method
+        integrate(equations, start_of(equations), [20.0], tolerance, t0=10.0).checkpoint.method
         for tolerance in (1e-6, 1e-13)
     )
     assert (coarse, fine) == ("bdf", "8vr")

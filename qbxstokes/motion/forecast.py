@@ -9,19 +9,28 @@ from qbxstokes.motion.equations import RigidBodyEquations
 
 Array = NDArray[np.float64]
 
-# Smallest local tolerance: below it the error estimate is rounding.
+# Smallest local tolerance: below it the error estimate is rounding, which the differences of high
+# order that BDF takes of its steps make larger: there it would cut its steps without end.
 FLOOR = 2e-15
+_FLOORS = {"bdf": 2e-14}
 EXPLICIT_TYPES = ("rk",)
 # Error of a step over the share of the tolerance that falls to it: (factor share)^power.
 _LOCAL = {"bdf": (0.5, 7.0 / 6.0), "arkimex": (0.1, 1.0)}
 # The error at the end is held to this many times the tolerance, at how many times the cost.
-WITHIN = 3.0
+WITHIN = 20.0
 AFFORDED = 30.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
 LOOSE = 1e-6
 # Right-hand sides of a step of 8vr, and those that take as long as a step of BDF.
 STAGES = 13
 IMPLICIT_COST = 50
+# Steps that BDF takes at least to reach its highest order.
+_START = 150
+
+
+def floor_of(kind: str) -> float:
+    """Smallest local tolerance of a type of integrator."""
+    return _FLOORS.get(kind, FLOOR)
 
 
 class Forecast:
@@ -48,7 +57,7 @@ class Forecast:
         """
         share = self._asked / self._sensitivity
         factor, power = _LOCAL.get(kind, (1.0, 1.0))
-        return max(float((factor * share) ** power), FLOOR)
+        return max(float((factor * share) ** power), floor_of(kind))
 
     def reachable(self, kind: str) -> float:
         """The tolerance that leads to the smallest error of a step, that of rounding.
@@ -56,7 +65,7 @@ class Forecast:
         Rounding adds up to as much: 0.1 to 3 times this after ten periods, k from 1/50 to 50.
         """
         factor, power = _LOCAL.get(kind, (1.0, 1.0))
-        return self._sensitivity * float(FLOOR ** (1.0 / power)) / factor
+        return self._sensitivity * float(floor_of(kind) ** (1.0 / power)) / factor
 
     def steps(self, kind: str) -> float:
         """Steps that accuracy needs and, for an explicit formula, the relaxation.
@@ -85,6 +94,7 @@ class Forecast:
         """
         missed = self.reachable("bdf") > WITHIN * self._asked >= self.reachable("rk")
         share = AFFORDED if missed else 1.0
-        if share * self.evaluations("bdf") < self.evaluations("rk"):
+        implicit = self.evaluations("bdf") + _START * IMPLICIT_COST
+        if share * implicit < self.evaluations("rk"):
             return "bdf"
         return "5dp" if self.tolerance("rk") > LOOSE else "8vr"

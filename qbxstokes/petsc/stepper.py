@@ -38,6 +38,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.petsc.inside import FEW, Inside
+from qbxstokes.petsc.pace import Pace
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory
@@ -119,6 +120,7 @@ def integrate(
         stopped=run.stopped,
         refusal=run.refusal,
         failure=run.failure,
+        reached=run.reached,
     )
 
 
@@ -129,6 +131,7 @@ class Run:
         self._system, self.equations = system, system.equations
         self.checkpoint, self.times = checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
+        self.reached = checkpoint.time
         self._largest, self._end = 0.0, system.end
         self.counter = system.counter
         monitor = f"{system.prefix}ts_monitor"
@@ -144,6 +147,7 @@ class Run:
         self._vector = system.begin(start)
         self.ts = system.integrator(self._vector, adaptive=True)
         self._inside = Inside(system, self.ts, self._vector)
+        self._pace = Pace(system, start)
         self._most_steps = self.ts.getMaxSteps()
         system.write(self._vector, start.state)
         self.ts.setTime(start.time)
@@ -189,6 +193,7 @@ class Run:
                 self._end_by(error)
                 t, halt = before, before
                 self._vector.setArray(start)
+            self.reached = t
             reach = t if halt is None else halt
             behind = int(np.searchsorted(times, reach, "right"))
             many = behind - index > FEW
@@ -212,8 +217,9 @@ class Run:
                 and len(samples) < BDF_SAMPLES
             )
             due = (len(samples) >= chunk_samples or late) and not young
-            if due or index == len(times):
-                self._cut(deliver, t, index, samples)
+            held_up = self._pace.held_up(t, ts.getStepNumber(), ts.getStepRejections())
+            if due or held_up or index == len(times):
+                self._cut(deliver, t, index, samples, held_up)
                 ts, samples, times = self.ts, [], self.times
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
@@ -290,7 +296,12 @@ class Run:
         )
 
     def _cut(
-        self, deliver: Callable[[Chunk], None], t: float, index: int, samples: list[Array]
+        self,
+        deliver: Callable[[Chunk], None],
+        t: float,
+        index: int,
+        samples: list[Array],
+        held_up: bool = False,
     ) -> None:
         """Hand over the samples with a checkpoint, and start afresh from it."""
         ts = self.ts
@@ -311,7 +322,10 @@ class Run:
             evaluations=self._system.evaluations,
             jacobians=self.counter.jacobians,
             norm_drift=max(old.norm_drift, drift),
+            changed=old.changed,
         )
+        if held_up:
+            self.checkpoint = self._pace.changed(self.checkpoint)
         first = index - len(samples)
         states = np.array(samples).reshape(len(samples), *state.shape)
         deliver(Chunk(first, self.times[first:index], _of_unit_length(states), self.checkpoint))

@@ -19,7 +19,8 @@ from petsc4py import PETSc
 from qbxstokes.errors import FlowError
 from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast
+from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
+from qbxstokes.motion.layout import POSITION, SPIN, VELOCITY
 from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.trajectory import Checkpoint
 
@@ -68,7 +69,10 @@ class System:
         self.layout = self._moving.layout
         self.counter = Counter(start.evaluations, start.jacobians)
         self._guide = Forecast(equations, start.time, start.state, end, tolerance)
+        self._tolerance = tolerance
         self._wanted = start.method or method or self._guide.method
+        # Whether it is the program that chose the method.
+        self.chosen = method is None and not PETSc.Options().hasName(f"{prefix}ts_type")
         self.native: Any = None
 
     @property
@@ -79,6 +83,11 @@ class System:
     def begin(self, start: Checkpoint) -> Any:
         """The vector of the integrators that start from a checkpoint, and what they measure by."""
         self._start = start
+        if not start.local_tolerance and start.steps:  # a change of method, to be thought of anew
+            self._wanted = start.method
+            self._guide = Forecast(
+                self.equations, start.time, start.state, self.end, self._tolerance
+            )
         self._scales = self.equations.scales(start.time, start.state)
         return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)
 
@@ -119,17 +128,29 @@ class System:
         forecast = self._guide.evaluations(kind) + STAGES * self._samples
         self.expected = self._start.expected or forecast
         self.rate = self._rate_callback()
+        weights = vector.duplicate()
+        self.write(weights, self._weights(kind))
         if self._by_lane:
-            self._set_implicit(ts, self.rate, vector)
+            self._set_implicit(ts, self.rate, vector, weights)
         elif (native := self._native_rate()) is not None:
             native.give(ts, vector.duplicate())
         else:
             ts.setRHSFunction(self.rate, vector.duplicate())
-        weights = vector.duplicate()
-        self.write(weights, self.local_tolerance * self._scales)
         ts.setTolerances(rtol=self.local_tolerance, atol=weights)
         ts.setSolution(vector)
         return ts
+
+    def _weights(self, kind: str) -> Array:
+        """Errors of a step that are accepted of small components, (columns, n_state).
+
+        One component of a vector is known to rounding of the largest, since the equations turn it
+        into the body's frame and back: what is less than that is asked of none.
+        """
+        accepted, state = self.local_tolerance * self._scales, self._start.state
+        for part in (POSITION, VELOCITY, SPIN):
+            size = np.linalg.norm(state[:, part], axis=1, keepdims=True)
+            accepted[:, part] = np.maximum(accepted[:, part], 4.0 * floor_of(kind) * size)
+        return np.asarray(accepted)
 
     def _native_rate(self) -> Any:
         """The compiled rate as a C function, one for all integrators of the run, or None."""
@@ -202,8 +223,11 @@ class System:
             comm=self._comm,
         )
 
-    def _set_implicit(self, ts: Any, rate: Callable[..., None], vector: Any) -> None:
-        """The equations as dy/dt - f(t, y) = 0 with the Jacobian shift I - df/dy."""
+    def _set_implicit(self, ts: Any, rate: Callable[..., None], vector: Any, weights: Any) -> None:
+        """The equations as dy/dt - f(t, y) = 0 with the Jacobian shift I - df/dy.
+
+        weights: the error of a step that is accepted where a component is small.
+        """
         work = vector.duplicate()
         jacobian = self._jacobian_callback()
         matrix = self._matrix()
@@ -223,14 +247,19 @@ class System:
         ts.setIJacobian(shifted, matrix, matrix)
         # With the exact Jacobian the error left by a Newton step is its square times a curvature of
         # order one. Residuals are no measure: their rounding grows with the stiffness.
-        enough = 0.1 * math.sqrt(self.local_tolerance)
+        # Each component is measured by its own size, as the steps are: a body far away has
+        # orientation still.
+        enough = 0.1 / math.sqrt(self.local_tolerance)
+        weights = weights.getArray(readonly=1)
 
-        def converged(_: Any, iteration: int, norms: tuple[float, float, float]) -> int:
-            solution, correction, residual = norms
-            if not math.isfinite(residual):
+        def converged(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
+            if not math.isfinite(norms[2]):
                 return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
-            if iteration > 0 and correction <= enough * max(1.0, solution):
-                return int(PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE)
+            if iteration > 0:
+                solution = np.abs(snes.getSolution().getArray(readonly=1))
+                accepted = enough * (weights + self.local_tolerance * solution)
+                if (np.abs(snes.getSolutionUpdate().getArray(readonly=1)) <= accepted).all():
+                    return int(PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE)
             return int(PETSc.SNES.ConvergedReason.CONVERGED_ITERATING)
 
         ts.getSNES().setConvergenceTest(converged)

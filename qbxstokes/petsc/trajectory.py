@@ -23,7 +23,7 @@ class Checkpoint:
     right-hand sides that are forecast, by which the rate is compiled or not; all four as at the
     start of the run. steps, rejections: accepted and rejected steps; evaluations, jacobians:
     right-hand sides and Jacobians of the block. norm_drift: largest | |q| - 1 | that any cut met
-    before it was removed.
+    before it was removed. changed: what the program changed of its choices on the way, in words.
     """
 
     time: float
@@ -39,6 +39,7 @@ class Checkpoint:
     evaluations: int = 0
     jacobians: int = 0
     norm_drift: float = 0.0
+    changed: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ class Trajectory:
     finished: False if `interrupted` said stop. stopped: whether the observer ended the run, whose
     last sample is then that instant. refusal: what the flow said where it let no step through, near
     a singular point; failure: why the integration cannot go on; both end the run as well, with the
-    last state it reached. The record of the integration is in `checkpoint`.
+    last state it reached. reached: the instant that the steps came to, beyond the last cut where it
+    was interrupted. The record of the integration is in `checkpoint`.
     """
 
     times: Array
@@ -73,3 +75,4 @@ class Trajectory:
     stopped: bool = False
     refusal: str = ""
     failure: str = ""
+    reached: float = 0.0

@@ -90,7 +90,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
     if not trajectory.finished:
         recording.save()
         if not recording.saved:
-            raise _interrupted(recording, {}, interruption.signal)
+            raise _interrupted(recording, {}, trajectory.reached, interruption.signal)
     if case.field is not None:
         recording.save()  # a field may take longer than the motion
     summary = _facts(job, assembled, trajectory, events, recording)
@@ -105,7 +105,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
         summary["field"]["files"] += draw_pictures(job.loaded, clock, Path(summary["result"]))
     recording.close(remove=trajectory.finished)
     if not trajectory.finished:
-        raise _interrupted(recording, summary, interruption.signal)
+        raise _interrupted(recording, summary, trajectory.reached, interruption.signal)
     if trajectory.failure:
         raise ConvergenceError(f"{trajectory.failure}; {summary['result']} holds the motion so far")
     return summary
@@ -191,14 +191,17 @@ def relaxation_times(equations: Any) -> dict[str, float]:
     return dict(zip(names, times[:, 0].tolist(), strict=True))
 
 
-def _interrupted(recording: Recording, summary: Mapping[str, Any], number: int) -> Interrupted:
-    name = signal.Signals(number).name
+def _interrupted(
+    recording: Recording, summary: Mapping[str, Any], reached: float, number: int
+) -> Interrupted:
+    """What is said of a run that a signal stopped when its steps had come to t = reached."""
+    stopped = f"{signal.Signals(number).name}: stopped at t = {reached:.6g}"
     if not recording.saved:
         return Interrupted(
-            f"{name}: stopped within the first steps; no result was written, start again", number
+            f"{stopped}, within the first steps; no result was written, start again", number
         )
     return Interrupted(
-        f"{name}: stopped at t = {summary.get('end', 0.0):.6g}; {summary['result']} holds what "
-        "there is; go on with the same command and --resume",
+        f"{stopped}; {summary['result']} holds the motion to t = {summary.get('end', 0.0):.6g}; "
+        "go on with the same command and --resume",
         number,
     )

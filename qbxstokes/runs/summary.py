@@ -322,6 +322,8 @@ def _solved(summary: dict[str, Any]) -> Rows:
         f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+    if "changed" in steps:
+        yield "", steps["changed"]
     if "field" in summary:
         yield "field", _points(summary["field"]["points"])
 

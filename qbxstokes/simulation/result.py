@@ -175,4 +175,5 @@ def integration_facts(trajectory: Any) -> dict[str, Any]:
         "local_tolerance": record.local_tolerance,
         "reachable_error": record.reachable,
         "quaternion_norm_drift": record.norm_drift,
+        **({"changed": record.changed} if record.changed else {}),
     }
