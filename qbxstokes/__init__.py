@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import flow as flow
     from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_case import from_case as from_case
+    from qbxstokes.simulation.langevin import langevin as langevin
     from qbxstokes.simulation.result import Motion as Motion
-    from qbxstokes.simulation.rheology import langevin as langevin
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
     from qbxstokes.simulation.suspension import Suspension as Suspension
@@ -56,7 +56,7 @@ _PUBLIC = {
     "ensemble": "qbxstokes.simulation.ensemble",
     "flow": "qbxstokes.simulation.body",
     "from_case": "qbxstokes.simulation.from_case",
-    "langevin": "qbxstokes.simulation.rheology",
+    "langevin": "qbxstokes.simulation.langevin",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
     "rheology": "qbxstokes.simulation.rheology",

@@ -8,7 +8,7 @@ radius), time tau, force mu c^2/tau, torque mu c^3/tau. Symbols are LaTeX.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 _XYZ = ("1", "2", "3")
 _ANGLES, _ANGLE_SYMBOLS = ("phi", "theta", "psi"), (r"\varphi", r"\theta", r"\psi")
@@ -97,6 +97,7 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "stresses": ("space", (6,), _PAIRS, ()),
     "matrix": ("body", (6, 6), (), ()),
     "square": ("space", (3, 3), (), ()),
+    "axes": ("space", (3,), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
     "four": ("", (4,), ("0", "1", "2", "3"), ()),
     "numbers": ("", (4,), ("0", "1", "2", "1_held"), ("S_0", "S_1", "S_2", "S_1^{held}")),
@@ -288,6 +289,20 @@ distribution | \psi | 1 | density of axes on the unit sphere, by theta and phi, 
 strain | \gamma | 1 | strain of an oscillation
 strain_rate | \dot\gamma | 1 | rate of an oscillation over its amplitude
 """)
+RHEOLOGY |= _table(r"""
+samples | p | 1 | axes drawn from each density, for each Peclet number | axes
+paths | p | 1 | axes of single Brownian trajectories that were kept | axes
+mean_square_displacement | \langle\Delta x\Delta x\rangle | c^2
+   | of places since the start, by the flow and by diffusion | square
+""")
+# Of means over Brownian trajectories, in units of what they are an error of.
+RHEOLOGY |= {
+    f"{name}_standard_error": replace(
+        whole, name=f"{name}_standard_error", description=f"standard error of {name}"
+    )
+    for name, whole in RHEOLOGY.items()
+    if name.endswith(("viscosity", "difference", "stress", "tensor", "displacement"))
+}
 STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
 
 STATUS = _table("""

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -75,8 +80,138 @@ def test_averages_are_those_of_the_density(peclet: float) -> None:
     assert np.all(np.abs(mean - exact.order_tensor) < 3.5 * error)
 
 
+@pytest.mark.parametrize(
+    ("protocol", "keys"),
+    [("startup", {}), ("cessation", {}), ("oscillation", {"amplitude": 2.0})],
+)
+def test_histories_are_those_of_the_density(protocol: str, keys: dict[str, float]) -> None:
+    """Means at instants with their errors; the parts of the stress apart from each other."""
+    body, times = qs.Body(0.2), np.array([0.0, 0.5, 1.7, 3.0])
+    more = {"protocol": protocol, "times": times, **keys}
+    found = qs.langevin(body, SHEAR, [5.0], trajectories=3000, seed=2, **more)
+    exact = qs.rheology(body, SHEAR, [5.0], **more)
+    for name in ("intrinsic_viscosity", "hydrodynamic_stress", "brownian_stress", "order_tensor"):
+        mean, error = getattr(found, name)
+        right = getattr(exact, name)
+        assert mean.shape == right.shape
+        assert np.all(np.abs(mean - right) <= 4.0 * error + 1e-12)
+        assert error.max() < 0.1 * np.abs(right).max() + 1e-12
+    whole = found.hydrodynamic_stress[0] + found.brownian_stress[0]
+    np.testing.assert_allclose(found.particle_stress[0], whole, atol=1e-12)
+
+
+def test_blocks_make_the_whole() -> None:
+    """Sums over any division of the trajectories, and the same ones kept."""
+    body = qs.Body(0.5)
+    times = [0.0, 1.0]
+    found = qs.langevin(
+        body, SHEAR, 3.0, protocol="startup", times=times, trajectories=2100, paths=2100
+    )
+    axes = found.paths
+    assert axes.shape == (2, 2100, 3)
+    order = axes[..., 0] * axes[..., 1]
+    np.testing.assert_allclose(order.mean(axis=1), found.order_tensor[0][:, 0, 1], atol=1e-14)
+    error = order.std(axis=1, ddof=1) / np.sqrt(2100)
+    np.testing.assert_allclose(found.order_tensor[1][:, 0, 1], error, rtol=1e-12)
+    few = qs.langevin(
+        body, SHEAR, 3.0, protocol="startup", times=times, trajectories=300, paths=300
+    )
+    assert np.array_equal(few.paths, axes[:, :300])
+
+
+def test_an_ensemble_starts_from_a_sample_of_a_density() -> None:
+    """The steady density is one that stays."""
+    body = qs.Body(0.2)
+    steady = qs.rheology(body, SHEAR, 10.0)
+    axes = steady.distribution.sample(3000, seed=4)
+    found = qs.langevin(
+        body, SHEAR, 10.0, protocol="startup", times=[3.0], orientations=axes, trajectories=3000
+    )
+    mean, error = found.order_tensor
+    assert np.all(np.abs(mean[0] - steady.order_tensor) < 4.0 * error[0])
+
+
+def test_places_disperse_with_shear() -> None:
+    """A sphere's <dx dx> in shear: 2 D t (1 + t^2/3) along, D t^2 mixed, 2 D t across."""
+    times, diffusivity = np.array([1.0, 3.0]), 0.5 * 8.0 / 6.0
+    keys = {"protocol": "startup", "times": times, "trajectories": 6000, "translation": True}
+    mean, error = qs.langevin(qs.Body(1.0), SHEAR, 2.0, **keys).mean_square_displacement
+    exact = {
+        (0, 0): 2.0 * times * (1.0 + times**2 / 3.0),
+        (1, 1): 2.0 * times,
+        (0, 1): times**2,
+        (0, 2): 0.0 * times,
+    }
+    for place, value in exact.items():
+        at = (slice(None), *place)
+        assert np.all(np.abs(mean[at] - diffusivity * value) < 4.0 * error[at])
+        assert error[at].max() < 0.1 * mean[:, 0, 0].max()
+
+
 def test_bad_arguments() -> None:
     body = qs.Body(0.2)
-    for bad in ({"peclet_number": np.inf}, {"trajectories": 1}, {"step": 100.0}, {"strain": 0.0}):
+    transient = {"protocol": "startup", "trajectories": 10, "times": [1.0]}
+    for bad in (
+        {"peclet_number": np.inf},
+        {"trajectories": 1},
+        {"step": 100.0},
+        {"strain": 0.0},
+        {"paths": 2},
+        {"translation": True},
+        {"orientations": [1.0, 0.0, 0.0]},
+        {"peclet_number": 1e9, "strain": 1e9},
+        {**transient, "paths": 11},
+        {**transient, "orientations": "aligned"},
+    ):
         with pytest.raises(QbxStokesError):
             qs.langevin(body, SHEAR, **bad)
+    with pytest.raises(QbxStokesError, match="stokes_number"):
+        qs.langevin(qs.Body(0.2, stokes_number=1.0), SHEAR)
+
+
+CASE = {
+    "task": "rheology",
+    "body": {"aspect_ratio": 0.2},
+    "flow": {"type": "shear"},
+    "rheology": {
+        "peclet_number": [2.0, 5.0],
+        "langevin": {"trajectories": 1500, "strain": 2.0, "step": 0.1, "seed": 3},
+    },
+}
+
+
+def test_the_task_says_what_python_says() -> None:
+    result = qs.run(CASE)
+    keys = {"trajectories": 1500, "strain": 2.0, "step": 0.1, "seed": 3}
+    found = qs.langevin(qs.Body(0.2), SHEAR, [2.0, 5.0], **keys)
+    for name, value in found.arrays().items():
+        np.testing.assert_allclose(result[name], value, rtol=1e-9, atol=1e-12)
+    assert result.summary["suspension"]["method"] == "langevin"
+
+
+@pytest.mark.slow
+def test_ranks_give_the_same_bits(mpirun: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "case.yaml").write_text(json.dumps(CASE))
+    alone = qs.run(CASE)
+    done = mpirun(3, "case.yaml")
+    assert done.returncode == 0, done.stderr
+    several = qs.load(tmp_path / "case.h5")
+    for name, value in several.arrays.items():
+        assert np.array_equal(alone[name], value), name
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"peclet_number": "inf"}, "nothing is random"),
+        ({"langevin": {"paths": 5}}, "no meaning for langevin and protocol: steady"),
+        ({"langevin": {"translation": True}}, "no meaning for langevin"),
+        ({"orientations": {"aligned": [1, 0, 0]}}, "no meaning for langevin"),
+        ({"samples": 5}, "no meaning for langevin"),
+        ({"langevin": {"step": 50}}, r"langevin\.step: is 50"),
+        ({"langevin": {"trajectories": 1}}, "trajectories"),
+    ],
+)
+def test_bad_input_of_the_task(change: dict[str, object], says: str) -> None:
+    with pytest.raises(QbxStokesError, match=says):
+        qs.run({**CASE, "rheology": {**CASE["rheology"], **change}})

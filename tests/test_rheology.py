@@ -251,9 +251,12 @@ def test_the_task_says_what_python_says(rod: qs.Body, tmp_path: Path) -> None:
 
 
 def test_tables_for_others(tmp_path: Path) -> None:
-    section = {"peclet_number": [2.0], "distribution": [5, 8], "tables": True}
+    section = {"peclet_number": [2.0], "distribution": [5, 8], "tables": True, "samples": 40}
     result = qs.run({**CASE, "rheology": section}, file=tmp_path / "tables.h5")
-    (name,) = tmp_path.glob("*.csv")
+    (drawn,) = tmp_path.glob("*-axes.csv")
+    np.testing.assert_array_equal(np.loadtxt(drawn, delimiter=",", skiprows=1), result.samples[0])
+    assert result.samples.shape == (1, 40, 3)
+    name = drawn.with_name(drawn.name.replace("-axes", ""))
     rows = np.loadtxt(name, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(rows[:, 2].reshape(5, 8), result.distribution[0])
     assert name.read_text().startswith("theta,phi,density\n")

@@ -69,6 +69,36 @@ ORIENTATIONS = Reader(
 )
 
 
+class LangevinSection(Section):
+    """Brownian axes followed one by one, in the place of their density."""
+
+    trajectories: Annotated[int, whole(ge=2, le=10**9)] = key("how many axes", 4096)
+    strain: Positive = key(
+        "over which a steady state is averaged, after three relaxation times 1/(6 D) or a fifth",
+        50.0,
+    )
+    step: Positive | None = key(
+        "longest step in units of 1/rate; unset: 0.05, or what diffusion or a cycle allows",
+        None,
+        0.02,
+    )
+    seed: Annotated[int, whole(ge=0, lt=2**63)] = key("of the random numbers", 0)
+    paths: Annotated[int, whole(ge=0)] = key("axes that are kept whole, at the instants", 0)
+    translation: bool = key(
+        "diffuse as well, and tell the mean square displacement (protocol: startup)", False
+    )
+
+
+def _langevin(value: Any) -> LangevinSection | None:
+    """true is a section of defaults, false none."""
+    return LangevinSection.read({} if value is True else value) if value else None
+
+
+LANGEVIN = Reader(
+    _langevin, {"anyOf": [{"type": ["boolean", "null"]}, LangevinSection.json]}, LangevinSection
+)
+
+
 class RheologySection(Section):
     """A dilute suspension of the body in a homogeneous flow."""
 
@@ -101,7 +131,13 @@ class RheologySection(Section):
     distribution: Annotated[tuple[int, int], several(whole(ge=3, le=4096), "[n_theta, n_phi]")] = (
         key("numbers of angles at which densities of orientations are stored", (91, 180))
     )
-
+    samples: Annotated[int, whole(ge=0, le=10**7)] = key(
+        "axes to draw from each density, such as starts of an ensemble", 0
+    )
+    seed: Annotated[int, whole(ge=0, lt=2**63)] = key("of the axes that are drawn", 0)
+    langevin: Annotated[LangevinSection | None, LANGEVIN] = key(
+        "follow single axes with random turns, whose means have standard errors", None, True
+    )
     tables: bool = key("also write the densities as CSV files of theta, phi, density", False)
 
     def _check(self) -> None:
@@ -119,7 +155,29 @@ class RheologySection(Section):
             if self.times[0] < 0:
                 raise Problem("is before the start", "instants from 0 on", ("times", 0))
             increasing(self.times, "times")
-        finite = any(map(math.isfinite, self.peclet_number))
-        if self.orientations != ISOTROPIC and finite:
+        finite = [math.isfinite(number) for number in self.peclet_number]
+        if self.langevin is not None:
+            self._check_langevin(self.langevin, all(finite))
+        elif self.orientations != ISOTROPIC and any(finite):
             wrong = "are forgotten by Brownian motion"
             raise Problem(wrong, "peclet_number: inf, or isotropic", ("orientations",))
+
+    def _check_langevin(self, given: LangevinSection, finite: bool) -> None:
+        if not finite:
+            wrong = "is infinite: nothing is random without Brownian motion"
+            raise Problem(wrong, "finite numbers, or no langevin", ("peclet_number",))
+        if given.paths > given.trajectories:
+            wrong = f"is more than the {given.trajectories} trajectories"
+            raise Problem(wrong, "at most as many", ("langevin", "paths"))
+        startup, steady = self.protocol == "startup", self.protocol == "steady"
+        meant = {
+            ("orientations",): self.orientations == ISOTROPIC or startup,
+            ("langevin", "translation"): not given.translation or startup,
+            ("langevin", "paths"): not given.paths or not steady,
+            ("samples",): not self.samples,
+            ("tables",): not self.tables,
+        }
+        for path, good in meant.items():
+            if not good:
+                wrong = f"has no meaning for langevin and protocol: {self.protocol}"
+                raise Problem(wrong, "leave it out", path)

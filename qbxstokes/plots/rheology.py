@@ -55,12 +55,21 @@ def functions_figure(result: ResultLike) -> Figure:
     times = _numbers(result, "time") if "time" in result.arrays else None
     for axes, name in zip(panels, names, strict=True):
         values = _numbers(result, name)
+        error = np.zeros_like(values)  # of means over trajectories alone
+        if f"{name}_standard_error" in result.arrays:
+            error = _numbers(result, f"{name}_standard_error")
         if times is None:
             _over_peclet(axes, numbers, values)
+            if error.any():
+                bars = {"fmt": "none", "color": style.BLACK, "linewidth": 0.8}
+                axes.errorbar(numbers, values, error, **bars)
         else:
             for index, number in enumerate(numbers.tolist()):
-                look = style.line_style(index)
-                axes.plot(times, values[index], label=_peclet(number), **look)
+                look, own, around = style.line_style(index), values[index], error[index]
+                (line,) = axes.plot(times, own, label=_peclet(number), **look)
+                if around.any():
+                    shade = {"color": line.get_color(), "alpha": 0.25, "linewidth": 0}
+                    axes.fill_between(times, own - around, own + around, **shade)
         heading = RHEOLOGY[name].heading
         style.set_ylabel(axes, f"${RHEOLOGY[name].symbol}$" if len(names) > 1 else heading)
     if times is not None and len(numbers) > 1:

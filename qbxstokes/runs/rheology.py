@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.rheology import ISOTROPIC
+from qbxstokes.case.rheology import ISOTROPIC, RheologySection
 from qbxstokes.errors import OutputError, SceneError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import open_cache
@@ -23,12 +23,20 @@ from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.rows import RowTeam, with_team
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology
+from qbxstokes.suspension.langevin import FUNCTIONS, Ensemble, Sums
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
 Array = NDArray[np.float64]
+
+# Keys of a case that Python names otherwise.
+_KEYS = {"flow": "flow", "stokes_number": "body.stokes_number"} | {
+    name: f"rheology.langevin.{name}"
+    for name in ("trajectories", "strain", "step", "paths", "translation")
+}
 
 
 def run_rheology(job: Job) -> dict[str, Any]:
@@ -37,15 +45,32 @@ def run_rheology(job: Job) -> dict[str, Any]:
     Rank 0 computes, so that any number of ranks gives the numbers of one; all form the rows.
     """
 
+    def averaging(ensemble: Ensemble) -> list[Sums]:
+        """Blocks of trajectories by all ranks, for rank 0."""
+        own = map(ensemble.average, range(job.comm.rank, ensemble.blocks, job.comm.size))
+        parts = [list(own)] if job.comm.size == 1 else job.comm.gather(list(own))
+        if not parts:
+            return []
+        return [parts[n % len(parts)][n // len(parts)] for n in range(ensemble.blocks)]
+
     def compute(team: RowTeam) -> dict[str, Any]:
+        def together(ensemble: Ensemble) -> list[Sums]:
+            team.join("langevin", ensemble)
+            return averaging(ensemble)
+
         with ResultWriter(job.target, "rheology", job.provenance, job.overwrite) as writer:
             cache = open_cache(job.loaded.case.hydrodynamics.cache, job.options.no_cache)
-            return _compute(job, Workshop(team, cache), writer)
+            return _compute(job, Workshop(team, cache), writer, together)
 
-    return on_root(job.comm, with_team(job.comm, compute))
+    return on_root(job.comm, with_team(job.comm, compute, {"langevin": averaging}))
 
 
-def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, Any]:
+def _compute(
+    job: Job,
+    workshop: Workshop,
+    writer: ResultWriter,
+    averaging: Callable[[Ensemble], list[Sums]],
+) -> dict[str, Any]:
     """Form the body, compute its suspension, write the result file, and return the summary."""
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     case = loaded.case
@@ -55,21 +80,23 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
         formed = scene.body.hydrodynamics_in(scene.flow, scene.need(pushed=True), workshop)
     with clock.part("suspension"), _pointed(loaded):
         axes, weights = orientations_of(loaded)
-        found = rheology(
-            scene.body,
-            scene.flow,
-            list(section.peclet_number),
-            protocol=section.protocol,
-            times=section.times,
-            amplitude=section.amplitude,
-            frequency=section.frequency,
-            orientations=axes,
-            weights=weights,
-            settling=section.settling,
-            tolerance=section.tolerance,
-            position=scene.position[0],
-            workshop=workshop,
-        )
+        common: dict[str, Any] = {
+            "protocol": section.protocol,
+            "times": section.times,
+            "amplitude": section.amplitude,
+            "frequency": section.frequency,
+            "orientations": axes,
+            "position": scene.position[0],
+            "workshop": workshop,
+        }
+        found: Rheology | BrownianAverages
+        numbers, random = list(section.peclet_number), section.langevin
+        if random is not None:
+            keys = {**vars(random), "averaging": averaging}
+            found = langevin(scene.body, scene.flow, numbers, **common, **keys)
+        else:
+            keys = {"settling": section.settling, "tolerance": section.tolerance}
+            found = rheology(scene.body, scene.flow, numbers, weights=weights, **common, **keys)
     errors, references = {}, {}
     shape = scene.body.shape
     if case.compare.reference != "none" and isinstance(shape, Spheroid):
@@ -91,7 +118,9 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
         "skipped": list(job.plan.skips),
     }
     with clock.part("output"):
-        arrays = found.arrays() | _distributions(found, section.distribution) | _cycle(found)
+        arrays = found.arrays() | _cycle(found)
+        if isinstance(found, Rheology):
+            arrays |= _distributions(found, section)
         if found.time is not None:
             writer.put({"time": found.time}, {"time": STRAIN_TIME})
         writer.put(arrays, RHEOLOGY)
@@ -103,22 +132,25 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
 
 
 def _write_tables(result: Path, arrays: dict[str, Array]) -> list[str]:
-    """The density at each Peclet number as a CSV file of theta, phi, density beside the result."""
+    """At each Peclet number CSV files beside the result: theta, phi, density; axes if drawn."""
     written = []
     theta, phi = np.meshgrid(arrays["theta"], arrays["phi"], indexing="ij")
-    for number, density in zip(arrays["peclet_number"], arrays["distribution"], strict=True):
+    for place, number in enumerate(arrays["peclet_number"].tolist()):
+        density = arrays["distribution"][place]
         if np.isnan(density).any():
             continue
-        path = result.with_name(f"{result.stem}-peclet-{number:g}.csv")
-        rows = np.stack([theta, phi, density], axis=-1).reshape(-1, 3)
-        try:
-            with whole_file(path) as temporary:
-                np.savetxt(
-                    temporary, rows, "%.17g", delimiter=",", header="theta,phi,density", comments=""
-                )
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
-        written.append(str(path))
+        stem = f"{result.stem}-peclet-{number:g}"
+        tables = {f"{stem}.csv": ("theta,phi,density", np.stack([theta, phi, density], axis=-1))}
+        if "samples" in arrays:
+            tables[f"{stem}-axes.csv"] = ("x1,x2,x3", arrays["samples"][place])
+        for name, (header, values) in tables.items():
+            path, rows = result.with_name(name), values.reshape(-1, 3)
+            try:
+                with whole_file(path) as temporary:
+                    np.savetxt(temporary, rows, "%.17g", ",", header=header, comments="")
+            except OSError as error:
+                raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+            written.append(str(path))
     return written
 
 
@@ -128,9 +160,7 @@ def _pointed(loaded: LoadedCase) -> Iterator[None]:
     try:
         yield
     except SceneError as error:
-        key = {"flow": "flow", "stokes_number": "body.stokes_number"}.get(
-            error.key, f"rheology.{error.key}"
-        )
+        key = _KEYS.get(error.key, f"rheology.{error.key}")
         raise loaded.error(key, error.wrong, error.right) from None
 
 
@@ -162,33 +192,41 @@ def orientations_of(loaded: LoadedCase) -> tuple[Any, Array | None]:
     return rows[:, :3], rows[:, 3] if rows.shape[1] == 4 else None
 
 
-def _heads(found: Rheology) -> dict[str, Any]:
+def _heads(found: Rheology | BrownianAverages) -> dict[str, Any]:
     """The material functions at each Peclet number, of a transient at its last instant."""
-    names = [f"{which}_normal_stress_difference" for which in ("first", "second")]
-    last = {
-        name: value if found.time is None else value[:, -1]
-        for name in ("intrinsic_viscosity", *names)
-        for value in (getattr(found, name),)
-    }
-    return {
-        "peclet_number": found.peclet_number.tolist(),
-        "error_estimate": found.error_estimate.tolist(),
-        **{name: value.tolist() for name, value in last.items()},
-    }
+    arrays = found.arrays()
+    heads = {"peclet_number": found.peclet_number.tolist()}
+    if isinstance(found, Rheology):
+        heads["error_estimate"] = found.error_estimate.tolist()
+    for name in FUNCTIONS:
+        for column in (name, f"{name}_standard_error"):
+            if column in arrays:
+                values = arrays[column] if found.time is None else arrays[column][:, -1]
+                heads[column] = values.tolist()
+    return heads
 
 
-def _distributions(found: Rheology, shape: tuple[int, int]) -> dict[str, Array]:
-    """Densities (Peclet number, theta, phi) where there are any, NaN where there is none."""
-    if all(density is None for density in found.distribution):
+def _distributions(found: Rheology, section: RheologySection) -> dict[str, Array]:
+    """Densities (Peclet number, theta, phi) where there are any, NaN where there is none.
+
+    And axes (Peclet number, n, 3) drawn from them, where they were asked for.
+    """
+    densities, shape = found.distribution, section.distribution
+    if all(density is None for density in densities):
         return {}
-    tables = [None if density is None else density.table(*shape) for density in found.distribution]
+    tables = [None if density is None else density.table(*shape) for density in densities]
     angles = next(table for table in tables if table is not None)
     nothing = np.full(shape, np.nan)
     values = [nothing if table is None else table["density"] for table in tables]
-    return {"theta": angles["theta"], "phi": angles["phi"], "distribution": np.stack(values)}
+    arrays = {"theta": angles["theta"], "phi": angles["phi"], "distribution": np.stack(values)}
+    if section.samples:
+        none = np.full((section.samples, 3), np.nan)
+        drawn = [none if d is None else d.sample(section.samples, section.seed) for d in densities]
+        arrays["samples"] = np.stack(drawn)
+    return arrays
 
 
-def _cycle(found: Rheology) -> dict[str, Array]:
+def _cycle(found: Rheology | BrownianAverages) -> dict[str, Array]:
     """Strain and its rate at the instants of an oscillation, for Lissajous curves."""
     cycle = found.summary["frequency"]
     if cycle is None or found.time is None:

@@ -260,17 +260,19 @@ def _suspension(found: Mapping[str, Any]) -> Rows:
     """Material functions at each Peclet number, the last instant of a transient."""
     rest, isotropic = found["viscosity_at_rest"], found["viscosity_of_isotropic"]
     yield "limits of [eta]", f"{rest:.9g} at small Pe; {isotropic:.9g} isotropic, without Brownian"
-    names = ("intrinsic_viscosity", "first_normal_stress_difference")
-    rows = zip(
-        found["peclet_number"],
-        *(found[name] for name in (*names, "second_normal_stress_difference", "error_estimate")),
-        strict=True,
-    )
-    for number, viscosity, first, second, error in rows:
-        text = f"[eta] {viscosity:.9g}"
-        if isfinite(first):
-            text += f", N1 {first:.9g}, N2 {second:.9g}"
-        yield f"Pe = {number:g}", f"{text}; error {error_text(error)}"
+    names = {"[eta]": "intrinsic_viscosity", "N1": "first_normal_stress_difference"}
+    names["N2"] = "second_normal_stress_difference"
+    for place, number in enumerate(found["peclet_number"]):
+        parts = []
+        for symbol, name in names.items():
+            value, error = found[name][place], found.get(f"{name}_standard_error")
+            if isfinite(value):
+                mean = f"{value:.9g}" if error is None else f"{value:.5g} +- {error[place]:.1e}"
+                parts.append(f"{symbol} {mean}")
+        text = ", ".join(parts)
+        if "error_estimate" in found:
+            text += f"; error {error_text(found['error_estimate'][place])}"
+        yield f"Pe = {number:g}", text
 
 
 def _law(summary: dict[str, Any]) -> Rows:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,11 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.motion.stress import symmetric
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.stresses import form_stresslet
-from qbxstokes.suspension import langevin as brownian
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.fokker_planck import (
@@ -25,6 +22,7 @@ from qbxstokes.suspension.fokker_planck import (
     converged,
     isotropic,
 )
+from qbxstokes.suspension.history import PROTOCOLS, History, Protocol
 from qbxstokes.suspension.orbits import Starts
 from qbxstokes.suspension.particle import LinearFlow, Particle
 
@@ -32,8 +30,6 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
 Array = NDArray[np.float64]
-Protocol = Literal["steady", "startup", "cessation", "oscillation"]
-PROTOCOLS = ("steady", "startup", "cessation", "oscillation")
 
 # Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.
 SAMPLES, _STRAIN = 201, 20.0
@@ -46,10 +42,9 @@ class Rheology:
     Arrays have the axes (peclet_number, time, ...), those that were asked for. The rate is that of
     the flow, sqrt(2 E:E), in an oscillation its amplitude. particle_stress (..., 3, 3) is
     hydrodynamic_stress + brownian_stress + inertial_stress; intrinsic_viscosity =
-    Sigma:E/(2 E:E), Sigma_12 of a
-    shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over rate, NaN in other flows;
-    order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a steady state. distribution:
-    one or a list of them; the last one of a transient; None without
+    Sigma:E/(2 E:E), Sigma_12 of a shear; N1 = Sigma_11 - Sigma_22 and N2 = Sigma_22 - Sigma_33 over
+    rate, NaN in other flows; order_tensor <pp> (..., 3, 3). time: in units of 1/rate, None of a
+    steady state. distribution: one or a list of them; the last one of a transient; None without
     Brownian motion where the orientations are not isotropic at first, or come to a single one.
     error_estimate: relative, of the stress.
     """
@@ -130,22 +125,19 @@ def rheology(
     >>> np.round(found.intrinsic_viscosity, 6)
     array([5.806206, 5.748197, 3.108525])
     """
-    if protocol not in PROTOCOLS:
-        raise SceneError("protocol", f"is {protocol!r}", ", ".join(PROTOCOLS))
     if not 1e-12 <= tolerance <= 0.1:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
     numbers = np.asarray(peclet_number, dtype=np.float64)
     if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
         raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
-    starts = _starts(orientations, weights, numbers)
+    starts = starts_of(orientations, weights, numbers)
     if np.any(body.stokes_number) and (np.any(np.isfinite(numbers)) or protocol != "steady"):
         right = "0: inertial bodies take peclet_number: inf and protocol: steady"
         raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
     homogeneous = linear_flow(flow, position)
     particle, error = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
-    cycle = _frequency(protocol, amplitude, frequency, homogeneous.rate)
-    instants = _instants(protocol, times, cycle)
+    history = history_of(protocol, times, amplitude, frequency, homogeneous.rate)
     if np.any(body.stokes_number):
         means = inertial_means(body, flow, starts, homogeneous.rate, settling, tolerance)
         nothing = np.zeros((3, 3))
@@ -153,7 +145,7 @@ def rheology(
         found = [{**means, "error_estimate": np.array(means["error_estimate"])}] * numbers.size
     else:
         found = [
-            _one(transport, particle, float(peclet), protocol, instants, cycle, starts, tolerance)
+            _one(transport, particle, float(peclet), history, starts, tolerance)
             for peclet in np.atleast_1d(numbers)
         ]
     stacked = {
@@ -170,7 +162,7 @@ def rheology(
     assert not isinstance(stress, int)
     return Rheology(
         peclet_number=numbers,
-        time=instants,
+        time=history.instants,
         **homogeneous.material_functions(stress),
         particle_stress=stress,
         **stacked,
@@ -181,13 +173,13 @@ def rheology(
             "rate": homogeneous.rate,
             "viscosity_at_rest": particle.viscosity_at_rest,
             "viscosity_of_isotropic": particle.viscosity_of_isotropic,
-            "frequency": cycle,
+            "frequency": history.cycle,
             "stresslet_numbers": particle.stresslet.tolist(),
         },
     )
 
 
-def _starts(orientations: ArrayLike | str, weights: ArrayLike | None, numbers: Array) -> Starts:
+def starts_of(orientations: ArrayLike | str, weights: ArrayLike | None, numbers: Array) -> Starts:
     """How the axes are at the start, which only those without Brownian motion remember."""
     if isinstance(orientations, str):
         if orientations != "isotropic" or weights is not None:
@@ -209,7 +201,31 @@ def _starts(orientations: ArrayLike | str, weights: ArrayLike | None, numbers: A
     return Starts(axes / lengths[:, None], share)
 
 
-def _frequency(
+def history_of(
+    protocol: Protocol,
+    times: ArrayLike | None,
+    amplitude: float | None,
+    frequency: float | None,
+    rate: float,
+) -> History:
+    """The history of a flow of this rate; raises SceneError for keys that make none."""
+    if protocol not in PROTOCOLS:
+        raise SceneError("protocol", f"is {protocol!r}", ", ".join(PROTOCOLS))
+    cycle = _cycle(protocol, amplitude, frequency, rate)
+    if protocol == "steady":
+        if times is not None:
+            raise SceneError("times", "have no meaning for steady", "leave them out")
+        return History(protocol)
+    if times is None:
+        end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
+        return History(protocol, np.linspace(0.0, end, SAMPLES), cycle)
+    instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    if instants.ndim != 1 or instants[0] < 0.0 or not np.all(np.diff(instants) > 0.0):
+        raise SceneError("times", f"have shape {instants.shape}", "increasing instants from 0 on")
+    return History(protocol, instants, cycle)
+
+
+def _cycle(
     protocol: str, amplitude: float | None, frequency: float | None, rate: float
 ) -> float | None:
     """Angular frequency over the rate, of an oscillation."""
@@ -228,119 +244,80 @@ def _frequency(
     return 1.0 / value if amplitude is not None else value / rate
 
 
-def _instants(protocol: str, times: ArrayLike | None, cycle: float | None) -> Array | None:
-    if protocol == "steady":
-        if times is not None:
-            raise SceneError("times", "have no meaning for steady", "leave them out")
-        return None
-    if times is None:
-        end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
-        return np.linspace(0.0, end, SAMPLES)
-    instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
-    if instants.ndim != 1 or instants[0] < 0.0 or np.any(np.diff(instants) <= 0.0):
-        raise SceneError("times", f"have shape {instants.shape}", "increasing instants from 0 on")
-    return instants
-
-
 def _one(
     transport: Transport,
     particle: Particle,
     peclet: float,
-    protocol: str,
-    instants: Array | None,
-    cycle: float | None,
+    history: History,
     starts: Starts,
     tolerance: float,
 ) -> dict[str, Any]:
     """Stresses, moments and distribution at one Peclet number."""
     if np.isinf(peclet):
-        return _without_diffusion(transport, particle, protocol, instants, cycle, starts, tolerance)
-    diffusivity, strain = 1.0 / peclet, transport.flow.strain
+        return _without_diffusion(transport, particle, history, starts, tolerance)
+    diffusivity, rates = 1.0 / peclet, history.rates[..., None, None] * transport.flow.strain
 
-    def described(
-        second: Array, fourth: Array, strength: ArrayLike, distribution: Distribution, degree: int
-    ) -> tuple[dict[str, Any], Array]:
-        rates = np.asarray(strength)[..., None, None] * strain
+    def computed(degree: int) -> tuple[dict[str, Any], Array]:
+        second, fourth, last = _moments(transport, diffusivity, history, degree, tolerance)
         flowing = particle.hydrodynamic_stress(second, fourth, rates)
         brownian = particle.brownian_stress(second, diffusivity)
         parts = {
             "hydrodynamic_stress": flowing,
             "brownian_stress": brownian,
             "order_tensor": second,
-            "distribution": distribution,
+            "distribution": last,
             "degree": degree,
         }
         return parts, flowing + brownian
 
-    def steady(degree: int) -> tuple[dict[str, Any], Array]:
-        density = transport.steady(diffusivity, degree)
-        return described(*density.moments(), 1.0, density, degree)
-
-    def transient(degree: int) -> tuple[dict[str, Any], Array]:
-        assert instants is not None
-        evolution = Evolution(transport, diffusivity, degree, tolerance)
-        rate: Callable[[float], float] = {
-            "startup": lambda t: 1.0,
-            "cessation": lambda t: 0.0,
-            "oscillation": lambda t: float(np.cos((cycle or 0.0) * t)),
-        }[protocol]
-        basis = evolution.operators[0]
-        if protocol == "startup":
-            start = isotropic(basis)
-        elif protocol == "cessation":
-            start = transport.steady(diffusivity, degree).coefficients
-        else:
-            start = evolution.periodic(2.0 * np.pi / (cycle or 1.0), rate)
-        if protocol == "cessation":  # without flow every degree decays by itself
-            decay = np.exp(diffusivity * np.outer(evolution.operators[2], instants))
-            states = start[:, None] * decay
-        else:
-            states = evolution.run(start, instants, rate)
-        axes = transport.frame[0]
-        second, fourth = basis.moments(states)
-        second = axes.T @ second @ axes
-        fourth = np.einsum(
-            "ai,bj,ck,dl,tabcd->tijkl", axes, axes, axes, axes, fourth, optimize=True
-        )
-        last = Distribution(basis, axes, states[:, -1])
-        strength = [rate(t) for t in instants.tolist()]
-        return described(second, fourth, strength, last, degree)
-
     start = transport.first_degree(peclet, tolerance)
-    compute: Callable[[int], tuple[dict[str, Any], Array]]
-    compute = steady if protocol == "steady" else transient
-    parts, _, change = converged(compute, start, tolerance)
+    parts, _, change = converged(computed, start, tolerance)
     return {**parts, "error_estimate": np.array(change)}
 
 
+def _moments(
+    transport: Transport, diffusivity: float, history: History, degree: int, tolerance: float
+) -> tuple[Array, Array, Distribution]:
+    """<pp>, <pppp> at the instants, and the last density, truncated at a degree."""
+    instants = history.instants
+    if instants is None:
+        density = transport.steady(diffusivity, degree)
+        return *density.moments(), density
+    evolution = Evolution(transport, diffusivity, degree, tolerance)
+    basis, axes = evolution.operators[0], transport.frame[0]
+    if history.protocol == "cessation":  # without flow every degree decays by itself
+        decay = np.exp(diffusivity * np.outer(evolution.operators[2], instants))
+        states = transport.steady(diffusivity, degree).coefficients[:, None] * decay
+    else:
+        start = isotropic(basis)
+        if history.cycle is not None:
+            start = evolution.periodic(2.0 * np.pi / history.cycle, history.rate)
+        states = evolution.run(start, instants, history.rate)
+    second, fourth = basis.moments(states)
+    second = axes.T @ second @ axes
+    fourth = np.einsum("ai,bj,ck,dl,tabcd->tijkl", axes, axes, axes, axes, fourth, optimize=True)
+    return second, fourth, Distribution(basis, axes, states[:, -1])
+
+
 def _without_diffusion(
-    transport: Transport,
-    particle: Particle,
-    protocol: str,
-    instants: Array | None,
-    cycle: float | None,
-    starts: Starts,
-    tolerance: float,
+    transport: Transport, particle: Particle, history: History, starts: Starts, tolerance: float
 ) -> dict[str, Any]:
     """The same without Brownian motion: where the axes are follows from the strain alone."""
-    strain, matrix = transport.flow.strain, transport.matrix
-    change, strength = 0.0, np.ones(())
-    if instants is None or protocol == "cessation":
+    matrix, instants, change = transport.matrix, history.instants, 0.0
+    if instants is None or history.protocol == "cessation":
         (second, fourth), change, strains = orbits.long_time(matrix, starts, tolerance)
-        if instants is not None:
-            strength = np.zeros(len(instants))
-            second = np.broadcast_to(second, (len(instants), 3, 3))
-            fourth = np.broadcast_to(fourth, (len(instants), 3, 3, 3, 3))
+        shape = history.rates.shape
+        second = np.broadcast_to(second, (*shape, 3, 3))
+        fourth = np.broadcast_to(fourth, (*shape, 3, 3, 3, 3))
     else:
-        strains = instants
-        if cycle is not None:
-            strains, strength = np.sin(cycle * instants) / cycle, np.cos(cycle * instants)
+        strains = history.strain(instants)
         second, fourth = orbits.transient(matrix, strains, starts)
         strains = strains[-1:]
     distribution = None
     if starts.axes is None and len(strains):
         distribution = orbits.advected(matrix, strains)
-    flowing = particle.hydrodynamic_stress(second, fourth, strength[..., None, None] * strain)
+    rates = history.rates[..., None, None] * transport.flow.strain
+    flowing = particle.hydrodynamic_stress(second, fourth, rates)
     return {
         "hydrodynamic_stress": flowing,
         "brownian_stress": np.zeros_like(flowing),
@@ -349,80 +326,3 @@ def _without_diffusion(
         "degree": 0,
         "error_estimate": np.array(change),
     }
-
-
-@dataclass(frozen=True)
-class BrownianAverages:
-    """Means over trajectories and time, each with its standard error, as (mean, error).
-
-    Units and meanings as in `Rheology`; order_tensor is a pair of (3, 3).
-    """
-
-    intrinsic_viscosity: tuple[float, float]
-    first_normal_stress_difference: tuple[float, float]
-    second_normal_stress_difference: tuple[float, float]
-    order_tensor: tuple[Array, Array]
-    trajectories: int
-    step: float
-
-
-def langevin(
-    body: Body,
-    flow: Flow,
-    peclet_number: float = 10.0,
-    *,
-    trajectories: int = 4096,
-    strain: float = 50.0,
-    step: float | None = None,
-    seed: int = 0,
-    position: ArrayLike = (0.0, 0.0, 0.0),
-) -> BrownianAverages:
-    """The steady stress of `rheology` from Langevin trajectories: a second, independent way.
-
-    trajectories: how many, from isotropic orientations. strain: over which each is averaged, after
-    three relaxation times 1/(6 D) or a fifth of it. step: in units of 1/rate; the bias is of its
-    second order. The random numbers of a trajectory depend on seed, its number and the step alone.
-
-    >>> import qbxstokes as qs
-    >>> body, shear = qs.Body(0.2), qs.flow("shear")
-    >>> mean, error = qs.langevin(body, shear, 10.0, trajectories=256).intrinsic_viscosity
-    >>> exact = qs.rheology(body, shear, 10.0).intrinsic_viscosity
-    >>> bool(abs(mean - exact) < 4.0 * error)
-    True
-    """
-    if not 0.0 < peclet_number < np.inf:
-        raise SceneError("peclet_number", f"is {peclet_number:g}", "positive and finite")
-    if trajectories < 2:
-        raise SceneError("trajectories", f"are {trajectories}", "2 or more, to tell an error")
-    homogeneous = linear_flow(flow, position)
-    particle, _ = particle_of(body)
-    diffusivity = 1.0 / peclet_number
-    longest = brownian.longest_step(diffusivity)
-    chosen = min(0.05, 0.05 * longest) if step is None else step
-    if not 0.0 < chosen <= longest:
-        raise SceneError("step", f"is {chosen:g}", f"more than 0, at most {longest:g}")
-    if not strain >= chosen:
-        raise SceneError("strain", f"is {strain:g}", f"more than the step, {chosen:g}")
-    wait = max(0.5 / diffusivity, 0.2 * strain)
-    found = brownian.simulate(
-        Transport(homogeneous, particle.linear),
-        particle,
-        diffusivity,
-        range(trajectories),
-        chosen,
-        max(1, round(strain / chosen)),
-        round(wait / chosen),
-        seed,
-    )
-    functions = homogeneous.material_functions(symmetric(found.stress))
-
-    def averaged(values: Array) -> tuple[Any, Any]:
-        error = values.std(axis=0, ddof=1) / np.sqrt(trajectories)
-        return values.mean(axis=0)[()], error[()]
-
-    return BrownianAverages(
-        **{name: averaged(values) for name, values in functions.items()},
-        order_tensor=averaged(symmetric(found.order)),
-        trajectories=trajectories,
-        step=chosen,
-    )

@@ -7,38 +7,215 @@ random angle about a random axis across p; the other half. A normal turn in the 
 variance s = 2 D h each way multiplies harmonics of degree l by 1 - l(l+1) s/2 + [l(l+1)]^2 s^2/8
 - l(l+1) s^2/12 + ..., diffusion by exp(-l(l+1) s/2): with the variance s - s^2/6 they agree to s^2,
 and the whole step is of weak order two (G. Strang 1968, SIAM J. Numer. Anal. 5, 506). p stays on
-the sphere. Random numbers are counted, not drawn in turn: those of a trajectory at a step are
-Philox's block of that key (J. K. Salmon et al. 2011, SC11), the same on any number of ranks.
+the sphere. Places move with x -> exp(G h/2) x and diffuse in between by the mean of what the axes
+before and after the turn allow. Random numbers are counted, not drawn in turn: those of a
+trajectory at a step are Philox's block of that key (J. K. Salmon et al. 2011, SC11), and averages
+are taken in blocks of trajectories, so that any number of ranks gives the same bits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.motion.stress import stresslets
+from qbxstokes.motion.stress import PAIRS, components, stresslets, symmetric
 from qbxstokes.suspension.fokker_planck import Transport
+from qbxstokes.suspension.history import History
 from qbxstokes.suspension.particle import Particle
 
 Array = NDArray[np.float64]
 
 _START = 2**62  # the step whose numbers make the orientations at the start
 _MOST_VARIANCE = 1.0
+BLOCK = 1024  # trajectories whose averages are taken together
+# What the columns of `Sums` are: material functions, and components 11 22 33 12 13 23.
+FUNCTIONS = (
+    "intrinsic_viscosity",
+    "first_normal_stress_difference",
+    "second_normal_stress_difference",
+)
+TENSORS = (
+    "particle_stress",
+    "hydrodynamic_stress",
+    "brownian_stress",
+    "order_tensor",
+    "mean_square_displacement",
+)
 
 
 @dataclass(frozen=True)
-class Averages:
-    """Means over time of each trajectory: stress and order tensor (n, 6), 11 22 33 12 13 23."""
+class Sums:
+    """Means (T, columns) of `count` trajectories, sums of squares about them, axes (T, m, 3)."""
 
-    stress: Array
-    order: Array
+    count: int
+    mean: Array
+    squares: Array
+    paths: Array
+
+    @classmethod
+    def of(cls, blocks: Iterable[Sums]) -> Sums:
+        """All of them, in this order (T. F. Chan et al. 1983, Am. Stat. 37, 242)."""
+        first, *others = blocks
+        count, mean, squares = first.count, first.mean, first.squares
+        for block in others:
+            away, both = block.mean - mean, count + block.count
+            squares = squares + block.squares + away**2 * (count * block.count / both)
+            mean = mean + away * (block.count / both)
+            count = both
+        paths = np.concatenate([first.paths, *(block.paths for block in others)], axis=1)
+        return cls(count, mean, squares, paths)
+
+    def averages(self) -> dict[str, tuple[Array, Array]]:
+        """Means and their standard errors by name: (T,) and (T, 3, 3)."""
+        error = np.sqrt(self.squares / (self.count * (self.count - 1.0)))
+        found = {
+            name: (self.mean[:, place], error[:, place]) for place, name in enumerate(FUNCTIONS)
+        }
+        for name, first in zip(TENSORS, range(3, self.mean.shape[1], 6), strict=False):
+            own = slice(first, first + 6)
+            found[name] = symmetric(self.mean[:, own]), symmetric(error[:, own])
+        return found
 
 
-def uniform(seed: int, first: int, count: int, step: int) -> Array:
+@dataclass(frozen=True)
+class Ensemble:
+    """Trajectories of axes through a history of the flow, averaged in blocks.
+
+    starts: axes (m, 3) that they begin with in turn, None: isotropic ones. wait: time given before
+    averages, strain: that a steady state is averaged over. kept: trajectories whose axes are kept.
+    dispersion: diffusivities across and along the axis, None to leave places out.
+    """
+
+    transport: Transport
+    particle: Particle
+    diffusivity: float
+    history: History
+    trajectories: int
+    seed: int
+    step: float
+    wait: float
+    strain: float
+    starts: Array | None = None
+    kept: int = 0
+    dispersion: tuple[float, float] | None = None
+
+    @property
+    def blocks(self) -> int:
+        """How many `average` has."""
+        return -(-self.trajectories // BLOCK)
+
+    @cached_property
+    def schedule(self) -> tuple[Array, NDArray[np.int64]]:
+        """Ends of the steps (n + 1,), and the row (n + 1,) of averages each counts for, or -1."""
+        lead = self.history.lead(self.wait)
+        before = np.linspace(-lead, 0.0, 1 + round(lead / self.step) if lead else 1)
+        instants = self.history.instants
+        if instants is None:
+            steps = max(1, round(self.strain / self.step))
+            times = np.concatenate([before, self.step * np.arange(1, steps + 1)])
+            rows = np.where(np.arange(len(times)) < len(before), -1, 0)
+            return times, rows
+        pieces, rows_of, last = [before], [np.full(len(before), -1)], 0.0
+        for row, instant in enumerate(instants.tolist()):
+            steps = int(np.ceil((instant - last) / self.step * (1.0 - 1e-12)))
+            pieces.append(np.linspace(last, instant, steps + 1)[1:])
+            rows_of.append(np.full(steps, -1))
+            (rows_of[-1] if steps else rows_of[0])[-1] = row
+            last = instant
+        return np.concatenate(pieces), np.concatenate(rows_of)
+
+    def average(self, number: int) -> Sums:
+        """One block of trajectories."""
+        times, rows = self.schedule
+        first = number * BLOCK
+        count = min(BLOCK, self.trajectories - first)
+        durations, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
+        strain = self.history.strain(times), self.history.strain(middle)
+        flows = _Flows(self.transport, strain[1] - strain[0][:-1], strain[0][1:] - strain[1])
+        found = np.zeros((int(rows.max()) + 1, 18, count))
+        seen = np.bincount(rows[rows >= 0], minlength=len(found))
+        kept = np.empty((len(found), max(0, min(self.kept - first, count)), 3))
+        p, x = self._start(first, count), np.zeros((count, 3))
+        rates = np.atleast_1d(self.history.rates)
+        for step, row in enumerate(rows.tolist()):
+            if step:
+                spread = variance(self.diffusivity, durations[step - 1])
+                before, after = flows.turns[:, step - 1]
+                q = _moved(p, before)
+                p = turned(q, spread, uniform(self.seed, first, count, step))
+                if self.dispersion is not None:
+                    one, two = flows.shifts[:, step - 1]
+                    sizes = np.sqrt(np.array(self.dispersion) * durations[step - 1])
+                    for word, axes in ((1, q), (2, p)):
+                        u = uniform(self.seed, first, count, step, word)
+                        x = (x @ one if word == 1 else x) + kicks(axes, sizes, u)
+                    x = x @ two
+                p = _moved(p, after)
+            if row >= 0:
+                found[row] += self._values(p, x, float(rates[row]))
+                kept[row] = p[: kept.shape[1]]
+        return self._sums(found / seen[:, None, None], kept)
+
+    def _start(self, first: int, count: int) -> Array:
+        if self.starts is None:
+            return isotropic_axes(self.seed, first, count)
+        return np.asarray(self.starts[np.arange(first, first + count) % len(self.starts)])
+
+    def _values(self, p: Array, x: Array, rate: float) -> Array:
+        """Stresslets, products of the axes' and of the places' components, rows (18, n)."""
+        strain = rate * components(self.transport.flow.strain)[:, None]
+        products = [v[:, i] * v[:, j] for v in (p, x) for i, j in PAIRS]
+        return np.concatenate([stresslets(self.particle.stresslet, p, strain), products])
+
+    def _sums(self, rows: Array, kept: Array) -> Sums:
+        """Of averages (T, 18, n) of each trajectory."""
+        particle = self.particle
+        stress, order, square = np.split(np.moveaxis(rows, 1, 2), 3, axis=2)
+        flowing = symmetric(stress) / particle.volume
+        brownian = particle.brownian_stress(symmetric(order), self.diffusivity)
+        whole = flowing + brownian
+        functions = self.transport.flow.material_functions(whole)
+        parts = [components(whole), components(flowing), components(brownian), order]
+        if self.dispersion is not None:
+            parts.append(square)
+        columns = [functions[name][..., None] for name in FUNCTIONS]
+        values = np.concatenate([*columns, *parts], axis=2)
+        mean = values.mean(axis=1)
+        squares = np.sum((values - mean[:, None]) ** 2, axis=1)
+        return Sums(rows.shape[2], mean, squares, kept)
+
+
+class _Flows:
+    """exp of the flow's matrices over the strains (n,) of the halves of all steps, transposed."""
+
+    def __init__(self, transport: Transport, first: Array, second: Array) -> None:
+        from scipy.linalg import expm
+
+        # Equal but for the rounding of their times: one exponential.
+        strains, places = np.unique(np.round([first, second], 14), return_inverse=True)
+        self._places = places.reshape(2, -1)
+        self._turns = expm(strains[:, None, None] * transport.matrix).swapaxes(1, 2)
+        gradient = transport.flow.gradient / transport.flow.rate
+        self._shifts = expm(strains[:, None, None] * gradient).swapaxes(1, 2)
+
+    @cached_property
+    def turns(self) -> Array:
+        """Of the axes, (2, n, 3, 3)."""
+        return np.asarray(self._turns[self._places])
+
+    @cached_property
+    def shifts(self) -> Array:
+        """Of the places, (2, n, 3, 3)."""
+        return np.asarray(self._shifts[self._places])
+
+
+def uniform(seed: int, first: int, count: int, step: int, word: int = 0) -> Array:
     """Numbers in (0, 1] of `count` trajectories from `first`, at a step: (count, 4)."""
-    counter = np.array([first, step, 0, 0], dtype=np.uint64)
+    counter = np.array([first, step, word, 0], dtype=np.uint64)
     raw = np.random.Philox(counter=counter, key=seed).random_raw(4 * count)
     return ((raw >> np.uint64(11)).astype(np.float64) + 1.0).reshape(-1, 4) * 2.0**-53
 
@@ -71,39 +248,12 @@ def turned(p: Array, spread: float, u: Array) -> Array:
     return np.asarray(np.cos(angle)[:, None] * p + np.sin(angle)[:, None] * across)
 
 
-def simulate(
-    transport: Transport,
-    particle: Particle,
-    diffusivity: float,
-    trajectories: range,
-    step: float,
-    steps: int,
-    discard: int,
-    seed: int,
-) -> Averages:
-    """Averages over `steps` steps after `discard` more, from isotropic orientations."""
-    from scipy.linalg import expm
-
-    half = expm(0.5 * step * transport.matrix).T
-    strain = transport.flow.strain
-    rows = np.stack([strain[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
-    first, count = trajectories.start, len(trajectories)
-    p = isotropic_axes(seed, first, count)
-    spread = variance(diffusivity, step)
-    stress, order = np.zeros((6, count)), np.zeros((6, count))
-    for number in range(discard + steps):
-        p = _moved(p, half)
-        p = turned(p, spread, uniform(seed, first, count, number))
-        p = _moved(p, half)
-        if number >= discard:
-            stress += stresslets(particle.stresslet, p, rows[:, None])
-            for place, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-                order[place] += p[:, i] * p[:, j]
-    order /= steps
-    brownian = 3.0 * diffusivity * particle.resistance * particle.linear
-    third = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[:, None] / 3.0
-    whole = (stress / steps + brownian * (order - third)) / particle.volume
-    return Averages(whole.T, order.T)
+def kicks(p: Array, sizes: Array, u: Array) -> Array:
+    """Normal displacements (n, 3) of axes p (n, 3), of sizes (2,) across and along them."""
+    radius, angle = np.sqrt(-2.0 * np.log(u[:, ::2])), 2.0 * np.pi * u[:, 1::2]
+    normal = np.stack([*(radius * np.cos(angle)).T, (radius * np.sin(angle))[:, 0]], axis=1)
+    lengthwise = np.sum(normal * p, axis=1)[:, None] * p
+    return np.asarray(sizes[0] * normal + (sizes[1] - sizes[0]) * lengthwise)
 
 
 def _moved(p: Array, half: Array) -> Array:
