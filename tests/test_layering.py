@@ -51,7 +51,7 @@ HOMES = {
 # What verifies shares no code with what is verified.
 REFERENCE_LIBRARIES = {"numpy", "scipy"}
 # Slow to import, needed by few runs: imported inside the functions that use them.
-LAZY = ("numba", "scipy", "matplotlib", "tqdm", "pandas", "xarray")
+LAZY = ("numba", "scipy", "matplotlib", "tqdm", "pandas", "xarray", "pint")
 
 
 def unit(module: str) -> str:

@@ -593,7 +593,7 @@ def test_files_of_this_format_with_wrong_contents_are_refused(tmp_path: Path, ti
         (["plot", "FILE", "--trajectory", "1"], "is not a sweep"),
         (["plot", "FILE", "--x", "time", "--y", "axis"], "is not a sweep"),
         (["plot", "FILE", "--colour"], "unrecognized arguments"),
-        (["plot", "FILE", "--output", "FILE"], "cannot be made a folder"),
+        (["plot", "FILE", "--output", "FILE"], "-o takes a folder, or a file that ends in .pdf"),
         (["animate", "FILE", "FILE"], "one file at a time"),
         (["animate", "FILE", "--frames", "0"], "--frames"),
         (["animate", "FILE", "--fps", "many"], "invalid int value"),

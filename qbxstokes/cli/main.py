@@ -31,6 +31,7 @@ commands
   info FILE           what a result (or the newest of a case) holds, how made
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
+  export FILE ...     results as CSV, NPZ or netCDF (export --help)
   help [TOPIC]        the manual; help keys has every key of a case
   schema              JSON Schema of case files, for editors
   doctor              versions, MPI, PETSc, threads, write access
@@ -39,6 +40,7 @@ options of a run
   --set KEY=VALUE     change a key of the case: --set body.aspect_ratio=0.2
   --explain           print what the scene needs and what it skips, then run
   --dry-run           print what would run, and stop
+  -o FILE             where what is written goes, of every command that writes
   --overwrite         replace an existing result file
   --no-cache          neither read nor keep operators on disk
   --resume            go on with a run that was stopped, mend a sweep's failures
@@ -52,7 +54,7 @@ Exit status: 0 done, 1 the run failed, 2 the input is wrong.
 """
 
 # Options of ours that take the word after them; every other word with two dashes stands alone.
-_WITH_VALUE = ("--set", "--task", "--progress")
+_WITH_VALUE = ("--set", "--task", "--progress", "-o", "--output")
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -69,7 +71,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
         following = arguments[index + 1] if index + 1 < len(arguments) else None
         if word in ("-h", "--help"):
             own.append("--help")
-        elif word.startswith("--") or not word.startswith("-") or word == "-":
+        elif word == "-o" or word.startswith("--") or not word.startswith("-") or word == "-":
             own.append(word)
             if word in _WITH_VALUE and following is not None:
                 own.append(following)
@@ -111,6 +113,7 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("words", nargs="*")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--task", default="motion")
+    parser.add_argument("-o", "--output", metavar="FILE")
     parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
     flags = "explain dry-run overwrite resume no-cache quiet json version help write"
     for flag in flags.split():
@@ -122,13 +125,15 @@ def run_command(arguments: Sequence[str]) -> int:
     """Carry out a command line; returns the exit status."""
     own, petsc = split_arguments(arguments)
     try:
-        if arguments and arguments[0] in ("plot", "animate"):
+        if arguments and arguments[0] in _OF_RESULTS:
             from qbxstokes.cli.pictures import picture_command
 
             status = picture_command(arguments[0], arguments[1:])
             sys.stdout.flush()
             return status
         options = _parse(own)
+        if options.output is not None:
+            options.set.append(f"output.file={json.dumps(options.output)}")
         if options.version:
             print(f"qbxstokes {__version__}", flush=True)
             return 0
@@ -144,11 +149,13 @@ def run_command(arguments: Sequence[str]) -> int:
         if command is not None:
             if petsc:
                 raise CaseError(f"command line: {petsc[0]}: unknown option of {options.words[0]}")
+            if options.output is not None and command not in (_new, _schema, _check):
+                raise CaseError(f"command line: {options.words[0]} writes no file, so takes no -o")
             status = command(options, options.words[1:])
             sys.stdout.flush()
             return status
         if len(options.words) > 1:
-            first, commands = options.words[0], (*_COMMANDS, "plot", "animate")
+            first, commands = options.words[0], (*_COMMANDS, *_OF_RESULTS)
             if Path(first).suffix in (".yaml", ".yml"):
                 raise CaseError(f"command line: {options.words[1]}: one case at a time")
             import difflib
@@ -223,10 +230,18 @@ def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
     from qbxstokes.cli.starter import starter
 
     text = starter(options.task)
+    if path := _put(text, options, words):
+        print(f"{path}: written; run it with python -m qbxstokes {path}")
+    return 0
+
+
+def _put(text: str, options: argparse.Namespace, words: Sequence[str]) -> Path | None:
+    """Write a text into the file that is named, to standard output without; the file to tell."""
+    words = [*words, *([] if options.output is None else [options.output])]
     if not words:
         print(text, end="")
-        return 0
-    path = Path(_one(words, "new takes one file name"))
+        return None
+    path = Path(_one(words, f"{options.words[0]} takes one file name"))
     try:
         with path.open("w" if options.overwrite else "x") as stream:
             stream.write(text)
@@ -234,9 +249,7 @@ def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
         raise CaseError(f"{path}: exists already; choose another name or --overwrite") from None
     except OSError as error:
         raise CaseError(f"{path}: cannot be written ({error.strerror})") from None
-    if not options.quiet:
-        print(f"{path}: written; run it with python -m qbxstokes {path}")
-    return 0
+    return None if options.quiet else path
 
 
 def _info(options: argparse.Namespace, words: Sequence[str]) -> int:
@@ -255,16 +268,16 @@ def _schema(options: argparse.Namespace, words: Sequence[str]) -> int:
     from qbxstokes.cli.pages import PAGES
 
     if words:
-        raise CaseError(f"command line: {words[0]}: schema takes no file")
+        raise CaseError(f"command line: {words[0]}: schema takes no file but -o FILE")
     text = json.dumps(describe.json_schema(), indent=1) + "\n"
     if options.write:
-        path = Path(describe.__file__).with_name(describe.SCHEMA_FILE)
+        schema = Path(describe.__file__).with_name(describe.SCHEMA_FILE)
         page = PAGES / "keys.md"
-        path.write_text(text)
+        schema.write_text(text)
         page.write_text(describe.keys_page())
-        print(f"{path}: written\n{page}: written")
-    else:
-        print(text, end="")
+        print(f"{schema}: written\n{page}: written")
+    elif path := _put(text, options, ()):
+        print(f"{path}: written")
     return 0
 
 
@@ -290,6 +303,7 @@ def _help(options: argparse.Namespace, words: Sequence[str]) -> int:
     return 0
 
 
+_OF_RESULTS = ("plot", "animate", "export")
 _COMMANDS: dict[str, Callable[[argparse.Namespace, Sequence[str]], int]] = {
     "check": _check,
     "new": _new,

@@ -1,18 +1,21 @@
-"""The commands `plot` and `animate`: pictures of result files."""
+"""The commands `plot`, `animate` and `export`: what is made of result files."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+import tempfile
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from qbxstokes.case.document import parse_key
 from qbxstokes.case.sweep import column_name
 from qbxstokes.errors import CaseError, QbxStokesError
+from qbxstokes.io.export import FORMATS as EXPORTED
 from qbxstokes.io.names import newer, newest
 from qbxstokes.io.results import Result, SweepResult, load
 
@@ -23,7 +26,7 @@ Draws what result files (.h5) hold, or the newest result of a case (.yaml); each
 picture is a file NAME-KIND.FORMAT. An older picture of that name is replaced.
 
 options
-  --output DIR        where the pictures go (default: here)
+  -o WHERE            the folder of the pictures (default: here), or a picture's file
   --format FORMAT     pdf (default), svg or png; several with commas
   --kind KIND         only these, several with commas
   --trajectory N      of a sweep: the pictures of one trajectory
@@ -51,7 +54,7 @@ usage: python -m qbxstokes animate FILE [options]
 The tumbling body with the trail of its axis and the path of its centre.
 
 options
-  --output DIR        where the animation goes (default: here)
+  -o WHERE            the folder of the animation (default: here), or its file
   --format FORMAT     gif (default), or mp4 where ffmpeg is installed
   --from T --until T  window of time (default: all)
   --frames N          number of frames (default: 48 a turn, 60 to 360 in all)
@@ -60,6 +63,25 @@ options
   --quiet, --json     print nothing; print the name of the file as JSON
 """
 
+EXPORT_USAGE = """\
+usage: python -m qbxstokes export FILE ... [options]
+
+Writes what result files (.h5) hold, or the newest result of a case (.yaml), for
+other programs: NAME.csv, NAME.npz or NAME.nc.
+
+options
+  --csv               a table with a row per instant, per trajectory of a sweep, or
+                      per point of a field (a file for each set of points); default
+  --npz               all arrays, for NumPy
+  --netcdf            arrays with named axes, for xarray and others
+  -o WHERE            the folder of the files (default: here), or a file, whose
+                      ending then says the format
+  --trajectory N      of a sweep: the samples of one trajectory
+  --overwrite         replace files that are there
+  --quiet, --json     print nothing; print the names of the files as JSON
+"""
+
+_FLAGS = {"csv": "csv", "npz": "npz", "nc": "netcdf"}  # of `export`
 Drawing = Callable[[], Any]  # a figure of matplotlib
 
 
@@ -71,14 +93,15 @@ class _Parser(argparse.ArgumentParser):
 
 
 def picture_command(command: str, words: Sequence[str]) -> int:
-    """Carry out `plot` or `animate`; returns the exit status, raises CaseError for bad input."""
+    """Carry out one of the commands; returns the exit status, raises CaseError for bad input."""
     parser = _Parser(prog=f"qbxstokes {command}", add_help=False, allow_abbrev=False)
     parser.add_argument("files", nargs="*")
-    parser.add_argument("--output", type=Path, default=Path())
-    parser.add_argument("--format", default="pdf" if command == "plot" else "gif")
+    parser.add_argument("-o", "--output", type=Path, default=Path())
     parser.add_argument("--trajectory", type=int)
     for flag in ("quiet", "json", "help"):
         parser.add_argument(f"--{flag}", action="store_true")
+    if command != "export":
+        parser.add_argument("--format", default="pdf" if command == "plot" else "gif")
     if command == "plot":
         parser.add_argument("--kind", type=_listed, action="extend", default=[])
         parser.add_argument("--x")
@@ -86,6 +109,9 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         parser.add_argument("--scale")
         for name in ("--y", "--by"):
             parser.add_argument(name, type=_listed, action="extend", default=[])
+    elif command == "export":
+        for flag in (*_FLAGS.values(), "overwrite"):
+            parser.add_argument(f"--{flag}", action="store_true")
     else:
         parser.add_argument("--frames", type=int)
         parser.add_argument("--fps", type=int, default=25)
@@ -98,7 +124,7 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         return 0
     if not options.files:
         raise CaseError(f"command line: {command} needs a result file")
-    written = _plot(options) if command == "plot" else _animate(options)
+    written = {"plot": _plot, "animate": _animate, "export": _export}[command](options)
     if options.json:
         print(json.dumps([str(path) for path in written], indent=2))
     elif not options.quiet:
@@ -167,7 +193,8 @@ def told(name: str | Path) -> Result:
 def _plot(options: argparse.Namespace) -> list[Path]:
     from qbxstokes.plots import style
 
-    formats = _listed(options.format)
+    single = _file(options, style.FORMATS)
+    formats = [single.suffix[1:]] if single else _listed(options.format)
     for name in formats:
         if name not in style.FORMATS:
             raise CaseError(f"command line: --format is one of {', '.join(style.FORMATS)}")
@@ -178,12 +205,15 @@ def _plot(options: argparse.Namespace) -> list[Path]:
         newest(name): drawings(Path(name), options.kind, options.trajectory, roles)
         for name in options.files
     }
-    _make_folder(options.output)
+    if single and sum(map(len, chosen.values())) > 1:
+        among = ", ".join(next(iter(chosen.values())))
+        raise CaseError(f"{single}: is one picture; choose with --kind among {among}")
+    _make_folder(single.parent if single else options.output)
     written = []
     for path, kinds in chosen.items():
         for kind, draw in kinds.items():
             stem = f"{_stem(path, options)}-{kind}"
-            targets = [options.output / f"{stem}.{name}" for name in formats]
+            targets = [single or options.output / f"{stem}.{name}" for name in formats]
             try:
                 with style.styled():
                     figure = draw()
@@ -200,6 +230,7 @@ def _animate(options: argparse.Namespace) -> list[Path]:
 
     if len(options.files) > 1:
         raise CaseError(f"command line: {options.files[1]}: animate takes one file at a time")
+    single = _file(options, FORMATS)
     if options.format not in FORMATS:
         raise CaseError(f"command line: --format is one of {', '.join(FORMATS)}")
     if options.frames is not None and not 1 <= options.frames <= 10_000:
@@ -218,13 +249,47 @@ def _animate(options: argparse.Namespace) -> list[Path]:
         infinity if options.until is None else options.until,
     )
     film = animate(result, options.frames, options.fps, window)
-    _make_folder(options.output)
-    return [film.save(options.output / f"{_stem(path, options)}.{options.format}")]
+    target = single or options.output / f"{_stem(path, options)}.{options.format}"
+    _make_folder(target.parent)
+    return [film.save(target)]
+
+
+def _export(options: argparse.Namespace) -> list[Path]:
+    single = _file(options, EXPORTED)
+    if single and len(options.files) > 1:
+        raise CaseError(f"{single}: one file for several results; name a folder")
+    kinds = [kind for kind in EXPORTED if getattr(options, _FLAGS[kind])] or ["csv"]
+    results = [_opened(Path(name), options.trajectory) for name in options.files]
+    folder = _make_folder(single.parent if single else options.output)
+    written: list[Path] = []
+    for result in results:
+        stem = _stem(result.path, options)
+        for name in [single.name] if single else [f"{stem}.{kind}" for kind in kinds]:
+            # Files appear under their names only when all are whole.
+            with tempfile.TemporaryDirectory(prefix=".", dir=folder) as place:
+                for made in result.export(Path(place, name)):
+                    if (target := folder / made.name).exists() and not options.overwrite:
+                        right = "choose another name with -o, or --overwrite"
+                        raise CaseError(f"{target}: exists already; {right}")
+                    written.append(made.replace(target))
+    return written
+
+
+def _file(options: argparse.Namespace, formats: Iterable[str]) -> Path | None:
+    """The file that -o names; None where it is a folder."""
+    named: Path = options.output
+    if not named.suffix or named.is_dir():
+        return None
+    if named.suffix[1:] not in formats:
+        raise CaseError(
+            f"{named}: -o takes a folder, or a file that ends in .{', .'.join(formats)}"
+        )
+    return named
 
 
 def _usage(command: str) -> str:
-    if command == "animate":
-        return ANIMATE_USAGE
+    if command != "plot":
+        return ANIMATE_USAGE if command == "animate" else EXPORT_USAGE
     from qbxstokes.plots.motion import KINDS
 
     return PLOT_USAGE.format(
@@ -247,8 +312,11 @@ def _stem(path: Path, options: argparse.Namespace) -> str:
     return path.stem if options.trajectory is None else f"{path.stem}-{options.trajectory}"
 
 
-def _make_folder(folder: Path) -> None:
+def _make_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CaseError(f"{folder}: cannot be made a folder ({error.strerror})") from None
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CaseError(f"{folder}: no permission to write there; name another with -o")
+    return folder

@@ -127,9 +127,9 @@ def to_xarray(result: Result) -> xarray.Dataset:
     if "table" in shapes:
         about = result.attributes["table"]
         swept = {str(name) for name in about["coordinates"]}
-        for name, column in {"trajectory": np.arange(*shapes["table"]), **table_of(result)}.items():
+        for name, column in table_of(result).items():
             told = {key: about[f"{name}: {key}"] for key in _TOLD if f"{name}: {key}" in about}
-            held = coordinates if name in swept | {"trajectory"} else variables
+            held = coordinates if name in swept else variables
             held[name] = ("trajectory", column, told)
     for name, shape in shapes.items():
         if name == "table" or name in coordinates:
