@@ -148,7 +148,7 @@ def test_counts_and_flows_read_well(tmp_path: Path) -> None:
         flow_text(load_case(path, change)) for change in ([], ["flow.rate=1"], ["flow.rate=1.0"])
     }
     assert told == {"shear, rate 1; polynomial of degree 1"}
-    assert shape_text(load_case(path).case) == "sphere, k = 1"
+    assert shape_text(load_case(path).case.body.outline) == "sphere, k = 1"
 
 
 def test_estimate_says_how_its_parts_combine() -> None:

@@ -607,7 +607,7 @@ def test_wrong_words_are_refused(path: Path, words: list[str], message: str) -> 
 
 
 def test_help_fits_a_terminal(command: Command) -> None:
-    for name in ("plot", "animate"):
+    for name in ("plot", "animate", "export"):
         lines = command(name, "--help")
         assert max(map(len, lines)) <= 80
     assert any(line.split()[:1] == ["overview"] for line in command("plot", "--help"))

@@ -26,7 +26,7 @@ Draws what result files (.h5) hold, or the newest result of a case (.yaml); each
 picture is a file NAME-KIND.FORMAT. An older picture of that name is replaced.
 
 options
-  -o WHERE            the folder of the pictures (default: here), or a picture's file
+  -o WHERE            folder of the pictures (default: here), or file of one
   --format FORMAT     pdf (default), svg or png; several with commas
   --kind KIND         only these, several with commas
   --trajectory N      of a sweep: the pictures of one trajectory
@@ -54,7 +54,7 @@ usage: python -m qbxstokes animate FILE [options]
 The tumbling body with the trail of its axis and the path of its centre.
 
 options
-  -o WHERE            the folder of the animation (default: here), or its file
+  -o WHERE            folder of the animation (default: here), or its file
   --format FORMAT     gif (default), or mp4 where ffmpeg is installed
   --from T --until T  window of time (default: all)
   --frames N          number of frames (default: 48 a turn, 60 to 360 in all)
@@ -66,15 +66,15 @@ options
 EXPORT_USAGE = """\
 usage: python -m qbxstokes export FILE ... [options]
 
-Writes what result files (.h5) hold, or the newest result of a case (.yaml), for
-other programs: NAME.csv, NAME.npz or NAME.nc.
+Writes what result files (.h5) hold, or the newest result of a case (.yaml),
+for other programs: NAME.csv, NAME.npz or NAME.nc.
 
 options
-  --csv               a table with a row per instant, per trajectory of a sweep, or
-                      per point of a field (a file for each set of points); default
+  --csv               a table (default), a row per instant; of a sweep per
+                      trajectory, of a field per point (a file for each set)
   --npz               all arrays, for NumPy
   --netcdf            arrays with named axes, for xarray and others
-  -o WHERE            the folder of the files (default: here), or a file, whose
+  -o WHERE            folder of the files (default: here), or a file, whose
                       ending then says the format
   --trajectory N      of a sweep: the samples of one trajectory
   --overwrite         replace files that are there
@@ -144,25 +144,13 @@ def drawings(
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
-    from qbxstokes.plots import field, motion, rheology, sweep
-    from qbxstokes.plots.source import is_motion, sampling
+    from qbxstokes.plots.choice import kinds as chosen
+    from qbxstokes.plots.source import sampling
 
     result = _opened(path, trajectory)
-    if isinstance(result, SweepResult):
-        return sweep.drawings(result, kinds, roles)
-    if roles:
-        raise CaseError(f"{path}: is not a sweep, so it has no table whose columns to draw")
-    found: dict[str, Drawing] = motion.drawings(result) if is_motion(result) else {}
-    if note := sampling(result):
+    if result.task != "sweep" and (note := sampling(result)):
         print(f"qbxstokes: {path}: {note}", file=sys.stderr)
-    found |= field.drawings(result) | rheology.drawings(result)
-    for kind in kinds:
-        if kind not in found:
-            there = ", ".join(found) or "no pictures"
-            raise CaseError(f"{path}: nothing to draw as {kind!r}; there are {there}")
-    if not found:
-        raise CaseError(f"{path}: holds nothing that calls for a picture")
-    return {kind: found[kind] for kind in kinds} if kinds else found
+    return chosen(result, kinds, roles)
 
 
 def _opened(path: Path, trajectory: int | None) -> Result:

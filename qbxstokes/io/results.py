@@ -10,6 +10,7 @@ attributes `format`, `format_version`, `task`, `conventions` at the root.
 from __future__ import annotations
 
 import os
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, read_tree
+from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
 
 if TYPE_CHECKING:
@@ -64,6 +66,22 @@ class Result:
         """Shapes of the datasets by name."""
         return {name: np.shape(data) for name, data in self.arrays.items()}
 
+    @property
+    def events(self) -> Held:
+        """What happened between the samples: `events.half_turns.time` and the like."""
+        return Held(self.groups.get("events", {}))
+
+    @property
+    def fields(self) -> Held:
+        """The datasets by name; of a field also its sets: `fields.plane.velocity`."""
+        return Held(ChainMap(self.arrays, self.sets), self.shapes, self.attributes)  # type: ignore[arg-type]
+
+    @property
+    def sets(self) -> dict[str, Mapping[str, Any]]:
+        """The sets of points, surface and lines of a field, arrays by name."""
+        held = self.groups.get("field", {}).items()
+        return {name: value for name, value in held if isinstance(value, Mapping)}
+
     def __getattr__(self, name: str) -> NDArray[Any]:
         arrays = self.__dict__.get("arrays", {})
         if name in arrays:
@@ -76,9 +94,28 @@ class Result:
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self.arrays]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return self.names
+
     def __repr__(self) -> str:
-        shapes = ", ".join(f"{name}{list(shape)}" for name, shape in self.shapes.items())
-        return f"<{self.task} result {self.path}: {shapes}>"
+        return listing(self)
+
+    def plot(self, kind: str = "", ax: Any = None, **roles: Any) -> Any:
+        """A picture as `plot` draws it, as a figure of matplotlib, or into axes of one's own.
+
+        kind: as `plot --kind`, or a quantity such as "axis"; the first of `kinds` unless given. ax:
+        Axes, or as many as the picture has panels. roles: of a sweep x, y, by, value and scale.
+        """
+        from qbxstokes.plots.choice import plot
+
+        return plot(self, kind, ax, roles)
+
+    @property
+    def kinds(self) -> list[str]:
+        """The pictures that the result calls for."""
+        from qbxstokes.plots.choice import kinds
+
+        return list(kinds(self))
 
     def to_pandas(self) -> pandas.DataFrame:
         """A table with a row per instant (per trajectory of a sweep), columns such as position_1.

@@ -57,6 +57,15 @@ def alike(sizes: Array) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
+def draw_quantity(axes: Axes, result: ResultLike, name: str) -> None:
+    """All components of a quantity in one panel, as the file holds them."""
+    times, about = instants(result), RECORDABLE[name]
+    values = np.asarray(result.arrays[name]).reshape(len(times), -1)
+    symbols = about.symbols or (about.symbol,)
+    draw_lines(axes, times, [(f"${symbols[i]}$", values[:, i]) for i in range(values.shape[1])])
+    style.set_ylabel(axes, about.heading, units(result, name))
+
+
 def vector_panels(result: ResultLike, name: str) -> list[Panel]:
     """Panels of a vector's components; of the position, the displacement since the start."""
     times = instants(result)

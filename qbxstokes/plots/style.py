@@ -11,6 +11,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from io import BytesIO
 from itertools import cycle, islice
 from math import floor, inf, log10
 from pathlib import Path
@@ -40,6 +43,9 @@ GREEN = "#009e73"
 PURPLE = "#cc79a7"
 ORANGE = "#e69f00"
 SEQUENTIAL = "viridis"  # lightness rises evenly: readable in grey and with any colour vision
+
+# Axes that pictures are drawn into, see `into`.
+_given: ContextVar[_Given | None] = ContextVar("given", default=None)
 
 # One line style per curve: colour, dashes, marker.
 LINES: tuple[tuple[str, Any, str], ...] = (
@@ -119,11 +125,57 @@ def styled() -> Iterator[None]:
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of the given size in inches, drawn by Agg and laid out by itself."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height))
+    if axes := _given.get():
+        return axes  # type: ignore[return-value]
+    figure: Figure = _picture()(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
+
+
+@cache
+def _picture() -> type[Figure]:
+    from matplotlib.figure import Figure
+
+    class Picture(Figure):
+        """A figure that a notebook shows."""
+
+        def _repr_png_(self) -> bytes:
+            with styled(), BytesIO() as stream:
+                _lay_out(self)
+                self.savefig(stream, format="png", dpi=_SETTINGS["figure.dpi"])
+                return stream.getvalue()
+
+    return Picture
+
+
+class _Given:
+    """Axes of the user's in the place of a figure: it gives them out where one makes its own."""
+
+    def __init__(self, axes: Sequence[Axes]) -> None:
+        self._axes, self._left = axes, list(axes)
+
+    def add_subplot(self, *_: Any, **__: Any) -> Axes:
+        if not self._left:
+            raise CaseError(f"the picture has more panels than the axes given, {len(self._axes)}")
+        return self._left.pop(0)
+
+    def subplots(self, rows: int = 1, columns: int = 1, **_: Any) -> Any:
+        found = [self.add_subplot() for _ in range(rows * columns)]
+        return found[0] if len(found) == 1 else found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._axes[0].figure, name)
+
+
+@contextmanager
+def into(axes: Sequence[Axes]) -> Iterator[None]:
+    """Within it pictures are drawn into these axes, and no figure is made."""
+    token = _given.set(_Given(axes))
+    try:
+        yield
+    finally:
+        _given.reset(token)
 
 
 def line_style(index: int, markers: bool = False) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
+from qbxstokes.io.listing import holds, units_of
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
@@ -108,9 +109,11 @@ def to_json(result: Result) -> str:
             "task": result.task,
             "format_version": result.format_version,
             "datasets": {
-                name: {"shape": list(data.shape), **plain(result.attributes[name])}
-                for name, data in result.arrays.items()
+                name: {"shape": list(shape), **plain(result.attributes[name])}
+                for name, shape in result.shapes.items()
             },
+            "events": {name: list(held) for name, held in result.events.items()},
+            "fields": {name: list(held) for name, held in result.sets.items()},
             "summary": plain(result.summary),
             "provenance": plain(result.provenance),
         },
@@ -121,19 +124,15 @@ def to_json(result: Result) -> str:
 def describe_result(result: Result) -> str:
     """What a result file holds and how it was made."""
     made = result.provenance
-    datasets = [
-        (
-            f"{name} {'x'.join(map(str, data.shape))}",
-            f"{result.attributes[name].get('description', '')}"
-            f" [{result.attributes[name].get('units', '')}]",
-        )
-        for name, data in result.arrays.items()
-    ]
     simple = (str, int, float)
     sections: dict[str, Rows] = {
-        "Holds": datasets,
+        **holds(result),
         "Sampling": _sampling(result),
-        "Summary": list(_leaves(result.summary)),
+        "Summary": [
+            (name, f"{text} {units}".rstrip())
+            for name, text in _leaves(result.summary)
+            for units in [units_of(name)]
+        ],
         "Made by": [
             (key, str(value))
             for key, value in made.items()

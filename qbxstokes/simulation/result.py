@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.errors import SceneError
 from qbxstokes.motion.stress import symmetric
 from qbxstokes.quantities import MOTION, STRESS, of_event
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Motion:
     """A motion sampled at times (T,): arrays (lanes, T, ...) named as in result files.
 
@@ -80,6 +83,35 @@ class Motion:
         return cls(
             times, **values, summary=summary, events=events, _assembled=assembled, _states=states
         )
+
+    def __repr__(self) -> str:
+        lanes = self.position.shape[:-2]
+        many = f"{math.prod(lanes)} lanes, " if lanes else ""
+        shapes: dict[tuple[int, ...], list[str]] = {}
+        for name in ("time", *MOTION):
+            shapes.setdefault(getattr(self, name).shape, []).append(name)
+        events = ", ".join(f"{len(held['time'])} {name}" for name, held in self.events.items())
+        return "\n  ".join(
+            [
+                f"<Motion: {many}{len(self.time)} instants, t = {self.time[0]:g} to "
+                f"{self.time[-1]:g}; {self.steps} steps by {self.summary['method']}>",
+                *(f"{', '.join(names)} {shape}" for shape, names in shapes.items()),
+                *([f"events: {events}"] if events else []),
+                f"summary: {', '.join(self.summary)}",
+            ]
+        )
+
+    def plot(self, kind: str = "", ax: Any = None, *, lane: int = 0) -> Any:
+        """A picture as of a result file: see `Result.plot`; lane: which, of several.
+
+        kind: orbit, rotation, constant, path, velocity, loads, overview, or a quantity's name.
+        """
+        from qbxstokes.plots.choice import plot
+
+        count = math.prod(self.position.shape[:-2])
+        if not 0 <= lane < count:
+            raise SceneError("lane", f"is {lane}", f"a number from 0 to {count - 1}")
+        return plot(_Drawn(self, lane), kind, ax, {})
 
     @cached_property
     def stresslet(self) -> Array:
@@ -161,6 +193,20 @@ class Motion:
         lanes = self.position.ndim - 2
         flat = values.reshape(-1, *values.shape[lanes:])
         return np.ascontiguousarray(np.moveaxis(flat, 0, 1))
+
+
+class _Drawn:
+    """One lane of a motion, as pictures take a result."""
+
+    path, task = Path("motion"), "motion"
+
+    def __init__(self, motion: Motion, lane: int) -> None:
+        rows = {name: motion._rows(getattr(motion, name))[:, lane] for name in MOTION}
+        self.arrays: Mapping[str, Any] = {"time": motion.time, **rows}
+        self.attributes = {name: {"units": MOTION[name].units} for name in MOTION}
+        self.summary = motion.summary
+        self.provenance: dict[str, Any] = {}
+        self.groups: dict[str, dict[str, Any]] = {}
 
 
 def integration_facts(trajectory: Any) -> dict[str, Any]:

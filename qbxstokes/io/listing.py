@@ -1,0 +1,123 @@
+"""What a result holds, as a person reads it: names, shapes, units and meanings."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from qbxstokes.quantities import FLUID, HALF_TURN, INSTANT, MOTION, POINT, SURFACE, column
+
+if TYPE_CHECKING:
+    from qbxstokes.io.results import Result
+
+Shape = tuple[int, ...]
+
+# Of what stands in groups, the files' own attributes of which are not read.
+_KNOWN = {"time": INSTANT, **FLUID, **POINT, **SURFACE, **HALF_TURN}
+_WIDTH = 100
+
+
+class Held(Mapping[str, Any]):
+    """Arrays by name, or groups of them, as items and attributes; it shows shapes and units.
+
+    shapes, about: shapes and attributes of the arrays by name, where they are known beforehand.
+    """
+
+    def __init__(
+        self,
+        arrays: Mapping[str, Any],
+        shapes: Mapping[str, Shape] | None = None,
+        about: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        self._arrays, self._shapes, self._about = arrays, shapes or {}, about or {}
+
+    def __getitem__(self, name: str) -> Any:
+        value = self._arrays[name]
+        return Held(value) if isinstance(value, Mapping) else value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in self._arrays:
+            return self[name]
+        raise AttributeError(f"no {name}; there are {', '.join(self)}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self]
+
+    def told(self, name: str) -> str:
+        """An array's name with its units."""
+        known = _KNOWN.get(name)
+        units = str(self._about.get(name, {}).get("units", known.units if known else ""))
+        return f"{name} [{units}]" if units else name
+
+    def lines(self, prefix: str = "") -> Iterator[str]:
+        """A line for each array: name, units and shape."""
+        for name in self:
+            if name in self._shapes or not isinstance(self[name], Held):
+                shape = self._shapes.get(name) or np.shape(self[name])
+                yield f"{prefix + self.told(name):40} {shape}"
+            else:
+                yield from self[name].lines(f"{prefix}{name}.")
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines()) or "nothing"
+
+
+def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
+    """Rows of name and text by heading: datasets, events, sets of points, columns of a table."""
+    found: dict[str, list[tuple[str, str]]] = {"Holds": [], "Events": [], "Fields": [], "Table": []}
+    for name, shape in result.shapes.items():
+        about = result.attributes.get(name, {})
+        units = f" [{about['units']}]" if about.get("units") else ""
+        size = "x".join(map(str, shape))
+        found["Holds"].append((f"{name} {size}".strip(), f"{about.get('description', '')}{units}"))
+    for heading, groups in (("Events", result.events), ("Fields", Held(result.sets))):
+        for name, held in groups.items():
+            if isinstance(held, Held):
+                sizes = [np.shape(held[n]) for n in ("points", "time") if n in held]
+                shape = sizes[0][:-1] or sizes[0] if sizes else ()
+                size = "x".join(map(str, shape))
+                arrays = [held.told(n) for n in held if np.ndim(held[n])]
+                found[heading].append((f"{name} {size}".strip(), ", ".join(arrays)))
+    if "table" in result.shapes:
+        for name in result.arrays["table"].dtype.names or ():
+            known = column(name)
+            units = f" [{known.units}]" if known.units else ""
+            found["Table"].append((name, f"{known.description}{units}".strip()))
+    return found
+
+
+def units_of(name: str) -> str:
+    """Units of an entry of a summary, by its dotted name; '' where they are none."""
+    first, _, last = name.rpartition(".")
+    if first == "wall_times" or last in ("wall_time", "setup_time"):
+        return "s"
+    last = last.removeprefix("final_").removeprefix("last_").removesuffix("_per_period")
+    units = (MOTION.get(last) or HALF_TURN.get(last) or column(last)).units
+    return "" if units == "1" or first == "errors" else units
+
+
+def listing(result: Result) -> str:
+    """The result in some lines: what it holds with shapes, units and meanings, its summary."""
+    title = result.provenance.get("title") or ""
+    lines = [f"<{result.task} result {result.path}{': ' if title else ''}{title}>"]
+    rows = holds(result)
+    width = max(len(label) for label, _ in rows["Holds"]) if rows["Holds"] else 0
+    lines += [f"  {label:{width}}  {text}" for label, text in rows["Holds"]]
+    groups = [(key.lower(), row) for key in ("Events", "Fields") for row in rows[key]]
+    wrapped = [(f"{key}.{label}", text) for key, (label, text) in groups]
+    wrapped.append(("table", ", ".join(label for label, _ in rows["Table"])))
+    wrapped.append(("summary", ", ".join(result.summary)))
+    for label, text in wrapped:
+        if text:
+            whole = f"  {label}: {text}"
+            lines.append(textwrap.fill(whole, _WIDTH, subsequent_indent="    "))
+    return "\n".join(lines)
