@@ -40,12 +40,16 @@ of a suspension
   material-functions, lissajous, distribution
 of a sweep
   a summary of its table, such as period, rotation_rate, orbit_drift;
+  orientations: axes of all trajectories on the sphere, at start and end;
   of one that was measured the error over the time;
   or columns of its table, any against any other, swept keys as in the case:
   --x A --y B,...     curves of B over A
   --by C,...          one curve (or map) per value of C
   --value D           a map of D over A and B
   --scale SCALE       loglog, semilogx, semilogy or linear
+  --average HOW       rows with the same A (and C, or B) as one: their mean with
+                      its standard deviation, or their median with 10 to 90 %
+  --histogram A,...   how often each value occurs, an outline per value of C
 """
 
 ANIMATE_USAGE = """\
@@ -82,6 +86,7 @@ options
 """
 
 _FLAGS = {"csv": "csv", "npz": "npz", "nc": "netcdf"}  # of `export`
+_COLUMNS = ("x", "y", "by", "value", "histogram")
 Drawing = Callable[[], Any]  # a figure of matplotlib
 
 
@@ -107,7 +112,8 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         parser.add_argument("--x")
         parser.add_argument("--value")
         parser.add_argument("--scale")
-        for name in ("--y", "--by"):
+        parser.add_argument("--average")
+        for name in ("--y", "--by", "--histogram"):
             parser.add_argument(name, type=_listed, action="extend", default=[])
     elif command == "export":
         for flag in (*_FLAGS.values(), "overwrite"):
@@ -186,8 +192,9 @@ def _plot(options: argparse.Namespace) -> list[Path]:
     for name in formats:
         if name not in style.FORMATS:
             raise CaseError(f"command line: --format is one of {', '.join(style.FORMATS)}")
-    roles = {key: _columns(getattr(options, key)) for key in ("x", "y", "by", "value")}
-    roles = {key: given for key, given in (roles | {"scale": options.scale}).items() if given}
+    roles = {key: _columns(getattr(options, key)) for key in _COLUMNS}
+    roles |= {"scale": options.scale, "average": options.average}
+    roles = {key: given for key, given in roles.items() if given}
     # All files are read before the first picture is written.
     chosen = {
         newest(name): drawings(Path(name), options.kind, options.trajectory, roles)

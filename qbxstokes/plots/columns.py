@@ -8,6 +8,8 @@ What is drawn is told by a mapping:
     scale    "loglog", "semilogx", "semilogy" or "linear"; chosen from the values where absent
     error    column: uncertainty of y, drawn as bars
     points   true: markers alone, where the order of the rows means nothing
+    band     true: columns "y lower" and "y upper" are the ends of a band around y
+    note     what is said below the name of y, or of value
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
+from qbxstokes.plots.scales import SCALES, colours_of, edges, is_log, power, set_scales, shades
 from qbxstokes.quantities import Quantity, column
 
 if TYPE_CHECKING:
@@ -32,15 +35,8 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Rows = NDArray[np.intp]
 
-SCALES = {
-    "loglog": ("log", "log"),
-    "semilogx": ("log", "linear"),
-    "semilogy": ("linear", "log"),
-    "linear": ("linear", "linear"),
-}
 CURVES = 7  # more curves than this are told apart by lightness and a colour bar
 _PANELS = 6
-_SPREAD = 50.0  # positive values over more than this factor are drawn on a logarithmic axis
 _UNSET, _DEFAULT = "null", "default"  # words that are not set, and what a legend says of them
 _CONTOURS = 4  # rows and columns a map needs for contour lines
 
@@ -107,7 +103,7 @@ def figure_of(columns: Columns, spec: Mapping[str, Any]) -> Figure:
     spec = _checked(columns, spec)
     parts = [_Group(columns.everything, "", math.nan)]
     if "value" in spec:
-        parts = _groups(columns, spec["by"])
+        parts = groups_of(columns, spec["by"])
         if len(parts) > _PANELS:
             by = ", ".join(spec["by"])
             raise CaseError(f"{columns.name}: {len(parts)} maps by {by}; at most {_PANELS} fit")
@@ -152,7 +148,7 @@ def _checked(columns: Columns, spec: Mapping[str, Any]) -> dict[str, Any]:
 def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
     """Curves of y over x, one per column of y and value of `by`."""
     x, names = columns.numbers(spec["x"]), spec["y"]
-    groups = _groups(columns, spec["by"])
+    groups = groups_of(columns, spec["by"])
     error = columns.numbers(spec["error"]) if "error" in spec else None
     shaded = len(groups) * len(names) > CURVES
     if shaded and (len(names) > 1 or math.isnan(groups[0].value)):
@@ -160,8 +156,8 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
             f"{columns.name}: {len(groups) * len(names)} curves cannot be told apart; "
             f"at most {CURVES}, or more of one column parted by one number"
         )
-    _set_scales(axes, spec, x, np.concatenate([columns.numbers(name) for name in names]))
-    colours = _shades([group.value for group in groups]) if shaded else None
+    set_scales(axes, spec, x, np.concatenate([columns.numbers(name) for name in names]))
+    colours = shades([group.value for group in groups]) if shaded else None
     drawn = [(name, group) for name in names for group in groups]
     for index, (name, group) in enumerate(drawn):
         y, rows = columns.numbers(name), group.rows
@@ -171,17 +167,22 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
         if spec.get("points") or not columns.joined(rows):
             look["linestyle"] = "none"
         axes.plot(x[rows], y[rows], label=_told(columns, names, name, group), **look)
+        if spec.get("band"):
+            low, high = (columns[f"{name} {end}"][rows] for end in ("lower", "upper"))
+            axes.fill_between(x[rows], low, high, color=look["color"], alpha=0.18, linewidth=0)
         if error is not None:
             bars = {"fmt": "none", "ecolor": look["color"], "elinewidth": 0.7, "capsize": 1.5}
             axes.errorbar(x[rows], y[rows], np.abs(error[rows]), **bars)
-    axes.set_xlabel(_label(columns, spec["x"]))
+    axes.set_xlabel(label_of(columns, spec["x"]))
     words, units = _shared(columns, names)
     if axes.get_yscale() == "log":
         axes.set_ylabel(style.label(words, units))
     else:
         style.set_ylabel(axes, words, units)
+    if "note" in spec:
+        axes.set_ylabel(f"{axes.get_ylabel()}\n{spec['note']}")
     if colours is not None:
-        label = _label(columns, spec["by"][0])
+        label = label_of(columns, spec["by"][0])
         axes.figure.colorbar(colours, ax=axes, label=label, aspect=30)
     elif len(drawn) > 1:
         longest = max(len(str(line.get_label())) for line in axes.get_lines())
@@ -192,9 +193,9 @@ def _draw_bars(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
     """Horizontal bars: one group per word in x, one bar per column of y and value of `by`."""
     words, names = columns[spec["x"]], spec["y"]
     places = list(dict.fromkeys(words.tolist()))
-    bars = [(name, group) for name in names for group in _groups(columns, spec["by"])]
+    bars = [(name, group) for name in names for group in groups_of(columns, spec["by"])]
     everything = np.concatenate([columns.numbers(name) for name in names])
-    logarithmic = SCALES[spec["scale"]][1] == "log" if "scale" in spec else _is_log(everything)
+    logarithmic = SCALES[spec["scale"]][1] == "log" if "scale" in spec else is_log(everything)
     height = 0.8 / len(bars)
     for index, (name, group) in enumerate(bars):
         at = np.array([places.index(word) for word in words[group.rows].tolist()])
@@ -228,9 +229,9 @@ def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Rows)
     finite = values[np.isfinite(values)]
     if not finite.size:
         raise CaseError(f"{columns.name}: column {name} holds no number")
-    norm, logarithmic = _norm(finite)
-    _set_scales(axes, spec, x, y)
-    edges_x, edges_y = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
+    norm, logarithmic = colours_of(finite)
+    set_scales(axes, spec, x, y)
+    edges_x, edges_y = edges(x, axes.get_xscale()), edges(y, axes.get_yscale())
     axes.patch.set(facecolor="#f0f0f0", hatch="////", edgecolor="#b0b0b0")
     cells = np.ma.masked_invalid(grid)
     mesh = axes.pcolormesh(edges_x, edges_y, cells, norm=norm, rasterized=grid.size > 4000)
@@ -240,23 +241,24 @@ def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Rows)
         levels = [level for level in ticks if np.nanmin(grid) < level < np.nanmax(grid)]
         if levels:
             lines: Any = axes.contour(x, y, cells, levels, colors="white", linewidths=0.7)
-            axes.clabel(lines, fontsize=6.5, fmt=_power if logarithmic else "%g")
+            axes.clabel(lines, fontsize=6.5, fmt=power if logarithmic else "%g")
             # An outline keeps white lines visible on the palest colours. Contours are one
             # artist since matplotlib 3.8, and several before.
             drawn = [lines] if hasattr(lines, "set_path_effects") else lines.collections
             for artist in (*drawn, *axes.texts):
                 artist.set_path_effects([withStroke(linewidth=1.3, foreground="#00000050")])
-    axes.set_xlabel(_label(columns, spec["x"]))
-    axes.set_ylabel(_label(columns, spec["y"][0]))
+    axes.set_xlabel(label_of(columns, spec["x"]))
+    axes.set_ylabel(label_of(columns, spec["y"][0]))
+    told_below = [label_of(columns, name), *([spec["note"]] if "note" in spec else [])]
     axes.set_xlim(edges_x[0], edges_x[-1])
     axes.set_ylim(edges_y[0], edges_y[-1])
-    axes.figure.colorbar(mesh, ax=axes, label=_label(columns, name), aspect=30)
+    axes.figure.colorbar(mesh, ax=axes, label="\n".join(told_below), aspect=30)
 
 
 # -- groups and labels ------------------------------------------------------------------------
 
 
-def _groups(columns: Columns, by: Sequence[str]) -> list[_Group]:
+def groups_of(columns: Columns, by: Sequence[str]) -> list[_Group]:
     """Rows by the values of some columns, in the order of their first appearance."""
     if not by:
         return [_Group(columns.everything, "", math.nan)]
@@ -302,7 +304,8 @@ def _short(columns: Columns, name: str) -> str:
     return f"${about.symbol}$" if about.symbol else about.heading
 
 
-def _label(columns: Columns, name: str) -> str:
+def label_of(columns: Columns, name: str) -> str:
+    """What stands at an axis of a column."""
     about = columns.about(name)
     return style.label(about.heading, about.units)
 
@@ -324,24 +327,6 @@ def _shared(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
     return max(common, key=len), units.pop() if len(units) == 1 else ""
 
 
-# -- scales and cells -------------------------------------------------------------------------
-
-
-def _is_log(values: Array) -> bool:
-    """Whether values are best seen on a logarithmic axis: none negative, over a wide range."""
-    finite = values[np.isfinite(values)]
-    positive = finite[finite > 0.0]
-    wide = bool(positive.size and positive.max() > _SPREAD * positive.min())
-    return wide and 2 * positive.size > finite.size and not np.any(finite < 0.0)
-
-
-def _set_scales(axes: Axes, spec: Mapping[str, Any], x: Array, y: Array) -> None:
-    chosen = ["log" if _is_log(values) else "linear" for values in (x, y)]
-    scale_x, scale_y = SCALES[spec["scale"]] if "scale" in spec else chosen
-    axes.set_xscale(scale_x)
-    axes.set_yscale(scale_y)
-
-
 def _pivot(
     columns: Columns, x: str, y: str, values: Array, rows: Rows
 ) -> tuple[Array, Array, Array]:
@@ -352,44 +337,10 @@ def _pivot(
     places_x, across = np.unique(columns.numbers(x)[rows], return_inverse=True)
     places_y, down = np.unique(columns.numbers(y)[rows], return_inverse=True)
     if len(np.unique(down * len(places_x) + across)) < len(rows):
-        raise CaseError(f"{columns.name}: several rows have the same {x} and {y}; part them by one")
+        raise CaseError(
+            f"{columns.name}: several rows have the same {x} and {y}; part "
+            "them by one, or average them (--average mean)"
+        )
     grid = np.full((len(places_y), len(places_x)), np.nan)
     grid[down, across] = values[rows]
     return places_x, places_y, grid
-
-
-def _edges(places: Array, scale: str) -> Array:
-    """Borders of cells around their centres, halfway on the scale of the axis."""
-    at = np.log(places) if scale == "log" else places
-    if len(at) == 1:
-        half = 0.5 if scale == "log" else 0.5 * (abs(at[0]) or 1.0)
-        edges = np.array([at[0] - half, at[0] + half])
-    else:
-        middle = 0.5 * (at[1:] + at[:-1])
-        edges = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(edges) if scale == "log" else edges
-
-
-def _power(level: float) -> str:
-    exponent = math.log10(level)
-    return f"$10^{{{round(exponent)}}}$" if abs(exponent - round(exponent)) < 1e-9 else f"{level:g}"
-
-
-def _shades(values: Sequence[float]) -> Any:
-    """Colours of curves by a number, evenly spaced in its logarithm where it spans decades."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap
-
-    # The palest tenth of the colours is too light for a line on white.
-    colours = colormaps[style.SEQUENTIAL](np.linspace(0.0, 0.9, 256))
-    return ScalarMappable(_norm(np.array(values))[0], ListedColormap(colours))
-
-
-def _norm(values: Array) -> tuple[Any, bool]:
-    """How values become colours, and whether by their logarithm."""
-    from matplotlib.colors import LogNorm, Normalize
-
-    low, high = float(values.min()), float(values.max())
-    logarithmic = _is_log(values) and low > 0.0
-    return (LogNorm if logarithmic else Normalize)(low, high), logarithmic

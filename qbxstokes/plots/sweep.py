@@ -2,8 +2,8 @@
 
 Of a measured sweep that is the error over the time it took. Of any other, summaries over the swept
 values. One swept number: curves over it. Two: curves over the longer axis, one per value of the
-shorter, or a map where both are long. Random starts: points over the orbit constant they start
-with.
+shorter, or a map where both are long. Random starts beside these: averages over them, with bands.
+Random starts alone: points over the orbit constant they start with, and axes on the sphere.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from qbxstokes.errors import CaseError
+from qbxstokes.geometry import rotation
 from qbxstokes.plots.columns import CURVES, Columns, Rows, figure_of
 from qbxstokes.plots.source import ResultLike, resolved_case
+from qbxstokes.plots.sphere import distribution_figure
+from qbxstokes.plots.statistics import averaged, histogram_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +41,8 @@ SHOWN = (
 CHANGES = {f"mean_velocity_{i}": f"velocity_change_{i}" for i in (1, 2, 3)}
 _RANDOM = "orbit_constant_start"
 _ZERO = 1e-12
+ORIENTATIONS = "orientations"
+_CLOUD = 20  # trajectories of random starts whose axes are worth a picture
 
 
 class SweepLike(ResultLike, Protocol):
@@ -122,11 +127,14 @@ def description(sweep: SweepLike, value: str) -> dict[str, Any]:
     words = [axis for axis in axes if not axis.number and axis.words]
     if not numbers and len(words) == len(axes) == 1:
         return {"x": words[0].words[0], "y": value}
-    if len(numbers) + len(words) < len(axes) or not numbers:  # a random axis: points
-        return {"x": names[0] if names else _RANDOM, "y": value, "points": True}
-    error = {"error": CHANGES[value]} if value in CHANGES else {}
+    if not numbers:  # random starts alone: points
+        return {"x": _RANDOM, "y": value, "points": True}
+    error: dict[str, Any] = {"error": CHANGES[value]} if value in CHANGES else {}
+    if len(numbers) + len(words) < len(axes):  # over a random axis
+        error = {"average": "median"}
     if len(names) == 2 and numbers[1].size > CURVES and not words:
-        return {"x": names[0], "y": names[1], "value": value}
+        over = {"average": "mean"} if "average" in error else {}
+        return {"x": names[0], "y": names[1], "value": value, **over}
     return {"x": names[0], "y": value, "by": parted(axes, names[0]), **error}
 
 
@@ -159,14 +167,42 @@ def drawings(
     if roles:
         return _asked(sweep, columns, roles)
     for kind in kinds:
-        if kind not in columns.values or columns.words(kind):
+        if kind != ORIENTATIONS and (kind not in columns.values or columns.words(kind)):
             raise CaseError(
                 f"{sweep.path}: no summary {kind!r} in this sweep; {columns.near(kind)}"
             )
     if not kinds and (measured := _measured(sweep, columns)):
         return measured
     wanted = kinds or [name for name in SHOWN if name in columns.values and _says(columns, name)]
-    return {name: partial(figure_of, columns, description(sweep, name)) for name in wanted}
+    found: dict[str, Callable[[], Figure]] = {
+        name: partial(_figure, columns, description(sweep, name))
+        for name in wanted
+        if name != ORIENTATIONS
+    }
+    random = any(axis.number is None and not axis.words for axis in swept_axes(sweep))
+    many = random and len(columns.everything) >= _CLOUD and "final_orientation_0" in columns.values
+    if ORIENTATIONS in kinds or (many and not kinds):
+        found[ORIENTATIONS] = partial(orientations, sweep)
+    return found
+
+
+def _figure(columns: Columns, spec: Mapping[str, Any]) -> Figure:
+    """The columns as `spec` says, averaged where it asks for that."""
+    return figure_of(*averaged(columns, spec)) if "average" in spec else figure_of(columns, spec)
+
+
+def orientations(sweep: SweepLike) -> Figure:
+    """Where the axes of all trajectories start and end, on the sphere."""
+    table = sweep.arrays["table"]
+    done = table["status"] == 1
+    if "axis" in sweep.arrays:
+        axes = sweep.arrays["axis"][done]
+        return distribution_figure({"start": axes[:, 0], "end": axes[:, -1]})
+    names = [f"final_orientation_{i}" for i in range(4)]
+    if names[0] not in (table.dtype.names or ()):
+        raise CaseError(f"{sweep.path}: its table has no orientations")
+    q = np.stack([table[name][done] for name in names], axis=-1)
+    return distribution_figure({"end": rotation.axis(q)})
 
 
 def _asked(
@@ -174,6 +210,11 @@ def _asked(
 ) -> dict[str, Callable[[], Figure]]:
     """The one picture that the roles tell of, completed where they leave something open."""
     spec = dict(roles)
+    if counted := spec.pop("histogram", None):
+        if set(spec) - {"by"}:
+            raise CaseError(f"{sweep.path}: --histogram goes with --by alone")
+        name = f"histogram-{'-'.join(counted)}"
+        return {name: partial(histogram_figure, columns, counted, spec.get("by") or ())}
     drawn = spec.get("value") or spec.get("y")
     if not drawn:
         raise CaseError(f"{sweep.path}: say which column to draw with --y, or --value for a map")
@@ -184,7 +225,9 @@ def _asked(
         spec = description(sweep, names[0]) | spec
     if "by" not in spec and "value" not in spec and not columns.words(spec["x"]):
         spec["by"] = parted(swept_axes(sweep), spec["x"])
-    return {"-".join(names): partial(figure_of, columns, spec)}
+    if spec.get("by") and "average" not in roles:
+        spec.pop("average", None)  # rows that are parted need none
+    return {"-".join(names): partial(_figure, columns, spec)}
 
 
 def _measured(sweep: SweepLike, columns: Columns) -> dict[str, Callable[[], Figure]]:
