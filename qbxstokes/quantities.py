@@ -303,6 +303,44 @@ RHEOLOGY |= {
     for name, whole in RHEOLOGY.items()
     if name.endswith(("viscosity", "difference", "stress", "tensor", "displacement"))
 }
+
+# Of an ensemble, for B bodies: what is looked at, of which the datasets hold statistics.
+LOOKED_AT = _table(r"""
+tumbling     | \dot p^2 | 1/tau^2 | squared rate at which the axis turns
+spinning     | (\Omega\cdot p)^2 | 1/tau^2 | squared rate of rotation about the axis
+cos_vorticity | \cos(p,\omega) | 1 | cosine, without sign, of the angle of axis and vorticity
+cos_strain_1 | \cos(p,e_1) | 1 | cosine, without sign, of the angle to the most stretching axis
+cos_strain_2 | \cos(p,e_2) | 1 | cosine, without sign, of the angle to the second axis of strain
+cos_strain_3 | \cos(p,e_3) | 1 | cosine, without sign, of the angle to the most compressing axis
+""")
+ENSEMBLE = _table(r"""
+time | t | tau | instants at which paths are looked at
+lag | \tau | tau | lags of the correlation
+correlation | \langle p(0)\cdot p(\tau)\rangle | 1 | correlation of the axis, by lag and body
+axis | p | 1 | axes of the first paths, by path, instant and body | vector
+""")
+_STATISTICS = {
+    "moments": "means of powers 1 to 4, by body",
+    "moments_error": "standard errors of these means over paths, by body",
+    "over_strain": "mean over <E:E> = epsilon/(2 nu), by body",
+    "over_strain_error": "standard error of that ratio, by body",
+    "edges": "edges of bins",
+    "counts": "numbers below, in and beyond the bins, by body",
+    "in_time": "means over paths, by instant and body",
+    "spread_in_time": "standard deviations over paths, by instant and body",
+}
+
+
+def of_ensemble(name: str) -> Quantity:
+    """What is known of a dataset of an ensemble, or of a swept value of its bodies."""
+    for looked in LOOKED_AT.values():
+        part = name.removeprefix(f"{looked.name}_")
+        if part != name and part in _STATISTICS:
+            told = f"{looked.description}: {_STATISTICS[part]}"
+            return Quantity(name, looked.symbol, looked.units, told)
+    return ENSEMBLE.get(name) or PARAMETER.get(name) or Quantity(name, "", "", f"swept {name}")
+
+
 STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
 
 STATUS = _table("""

@@ -156,7 +156,7 @@ FAULTS = {
     "bodies and a body": ("body:", "bodies: [{aspect_ratio: 1}]\nbody:", r":2: body: .*give it in"),
     "no wall": ("start:", "surroundings: {type: wal}\nstart:", r":4: surroundings.type: .*wall"),
     "a suspension": ("start:", "rheology: {}\nstart:", r":4: rheology: .*task: rheology"),
-    "an ensemble": ("start:", "statistics: {}\nstart:", r":4: statistics: .*not there yet"),
+    "an ensemble": ("start:", "statistics: {}\nstart:", r":4: statistics: .*sweep.store"),
     "two shapes": ("0.5\n", "0.5\n  shape: {type: spheroid, aspect_ratio: 1}\n",
                    r":1: body: gives aspect_ratio and shape; exactly one"),
     "another shape": ("  aspect_ratio: 0.5\n", "  shape: {type: spheroidal, aspect_ratio: 1}\n",

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from conftest import Run
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import qbxstokes as qs
-from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.simulation.ensemble import Ensemble
 
@@ -198,3 +201,104 @@ def test_bad_input_is_refused() -> None:
     a[1, 4, 0, 0] = np.nan
     with pytest.raises(FlowError, match="path 1, sample 4"):
         qs.ensemble(body(0.2), qs.GradientSeries(times, a))
+
+
+# -- as cases -------------------------------------------------------------------------------------
+
+
+CASE = {
+    "body": {"aspect_ratio": 0.2},
+    "flow": {
+        "type": "linear",
+        "gradient": {"process": "gaussian", "paths": 700, "end": 2.0, "spacing": 0.1},
+    },
+    "time": {"end": 2.0, "tolerance": 1e-6},
+    "statistics": {"keep": 2, "sampling": False},
+    "sweep": {
+        "axes": [{"flow.trajectory": "all"}, {"body.aspect_ratio": [0.2, 5.0]}],
+        "store": "statistics",
+    },
+}
+
+
+def test_a_case_is_the_same_ensemble() -> None:
+    found = qs.run(CASE)
+    series = qs.GradientSeries.gaussian(paths=700, end=2.0, spacing=0.1)
+    same = qs.ensemble([body(0.2), body(5.0)], series, statistics={"keep": 2, "sampling": False})
+    assert found.tumbling_moments == pytest.approx(same.moments[:, 0], rel=1e-9)
+    assert found.axis.shape == (2, 20, 2, 3)
+    assert same.axes is not None
+    assert np.abs(found.axis - same.axes).max() < 1e-8
+    assert found.tumbling_counts.sum() == 700 * 20 * 2
+    assert found.task == "ensemble"
+
+
+def test_axes_of_a_table_start_beside_their_paths() -> None:
+    axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]
+    together = [{"flow.trajectory": [5, 2, 600], "start.orientation": axes}]
+    found = qs.run({**CASE, "sweep": {"axes": together, "store": "statistics"}})
+    assert np.abs(found.axis[:, 0, 0] - np.array(axes)[:2]).max() < 1e-12
+    alone = qs.ensemble(
+        body(0.2),
+        qs.GradientSeries.gaussian(paths=700, end=2.0, spacing=0.1).path(2),
+        orientation=axes[1],
+        statistics={"keep": 1, "sampling": False},
+    )
+    assert alone.axes is not None
+    assert np.abs(found.axis[1] - alone.axes[0]).max() < 1e-8
+
+
+def test_what_was_stopped_goes_on_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: Run
+) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(json.dumps({**CASE, "checkpoint": {"every": "1e-6 s"}}))
+    assert run_cli("case.yaml", "--set", "output.file=whole.h5", "--quiet").returncode == 0
+    follow, done = Ensemble.block, []
+
+    def stopped(self: Ensemble, number: int) -> dict[str, Array]:
+        if len(done) == 2:
+            raise MemoryError
+        done.append(number)
+        return follow(self, number)
+
+    monkeypatch.setattr(Ensemble, "block", stopped)
+    assert run_cli("case.yaml", "--quiet").returncode == 1
+    monkeypatch.setattr(Ensemble, "block", follow)
+    assert not (tmp_path / "case.h5").exists()
+    assert run_cli("case.yaml", "--quiet").returncode == 2  # it is there to go on with
+    assert run_cli("case.yaml", "--quiet", "--resume").returncode == 0
+    one, other = qs.load(tmp_path / "case.h5"), qs.load(tmp_path / "whole.h5")
+    for name in other.names:
+        assert np.array_equal(one[name], other[name], equal_nan=True), name
+    assert run_cli("case.yaml", "--quiet", "--resume").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sweep": None}, "without sweep.store: statistics"),
+        ({"body": {"aspect_ratio": 0.2, "stokes_number": 1.0}}, "massless"),
+        ({"time": {"end": 3.0}}, "is 3 and the series covers 0 to 2"),
+        ({"forces": {"force": [0, 0, 1]}}, "have no statistics"),
+        ({"flow": {"type": "shear"}}, "has no paths"),
+    ],
+)
+def test_cases_that_have_no_statistics_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(CaseError, match=message):
+        qs.run({**CASE, **change})
+
+
+def test_random_gradients_have_the_variances_they_are_to_have() -> None:
+    series = qs.GradientSeries.gaussian(
+        paths=3000, end=1.0, spacing=0.2, rate=2.0, correlation_time=0.5
+    )
+    a = series.read(0, 3000)
+    later = np.einsum("pi,pti->t", a[:, 0], a) / np.sum(a[:, 0] ** 2)
+    assert later == pytest.approx(np.exp(-2.0 * series.times**2), abs=0.02)
+    gradient = a.reshape(-1, 3, 3)
+    strain = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
+    assert np.sum(strain**2) / len(gradient) == pytest.approx(2.0, rel=0.03)
+    # <A_11^2> and <A_12^2> of isotropic gradients are 1/15 and 2/15 of epsilon/nu.
+    assert np.mean(gradient[:, 0, 0] ** 2) == pytest.approx(4.0 / 15.0, rel=0.05)
+    assert np.mean(gradient[:, 1, 2] ** 2) == pytest.approx(8.0 / 15.0, rel=0.05)

@@ -18,7 +18,7 @@ from qbxstokes.case.document import (
     read_text,
 )
 from qbxstokes.case.schema import FOREIGN, Case, keys
-from qbxstokes.case.sweep import TABLE, Sweep, SweepSpace, build_space
+from qbxstokes.case.sweep import TABLE, TRAJECTORY, Sweep, SweepSpace, build_space
 from qbxstokes.case.values import Key, Problem, at, meant
 from qbxstokes.errors import CaseError, FlowError
 
@@ -66,6 +66,11 @@ def case_of(keys: Mapping[str, Any], name: str = "case") -> LoadedCase:
 
 def checked(document: Document, path: Path) -> LoadedCase:
     """The case of a document that has just been read, valid at every point of its sweep."""
+    sweep = document.data.get("sweep")
+    kept = isinstance(sweep, dict) and sweep.get("store") == "statistics"
+    if document.data.get("statistics") is not None and not kept:
+        wrong = "has no meaning without sweep.store: statistics"
+        raise document.error("statistics", wrong, "store: statistics, with flow.trajectory: all")
     loaded = from_document(document, path)
     document, space = loaded.document, loaded.space or SweepSpace(())
     for number, columns in enumerate(space.axes):
@@ -102,7 +107,24 @@ def _space(data: dict[str, Any], folder: Path) -> SweepSpace:
                     right = meant(name, dict(keys()), "a key such as body.aspect_ratio")
                     raise Problem("unknown key", right, ("axes", number, name))
         alone = section.measure is not None or data.get("task") == "body"
-        return build_space(section.axes, folder, alone)
+        axes = [
+            {name: _paths(data, name, value, folder) for name, value in axis.items()}
+            for axis in section.axes
+        ]
+        return build_space(axes, folder, alone)
+
+
+def _paths(data: dict[str, Any], name: str, value: Any, folder: Path) -> Any:
+    """The values of an entry of an axis, where flow.trajectory: all are those of the series."""
+    if parse_key(name) != TRAJECTORY or value != "all":
+        return value
+    from qbxstokes.flows.series import series_of_case
+
+    try:
+        count = len(series_of_case(data.get("flow") or {}, folder))
+    except FlowError as error:
+        raise Problem(str(error), "a linear flow with gradient: {file: ...}") from None
+    return {"linspace": [0, max(count - 1, 1)], "count": count}
 
 
 def _first_point(document: Document, space: SweepSpace) -> Document:

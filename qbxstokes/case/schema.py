@@ -20,6 +20,7 @@ from qbxstokes.case.model import Key, Reader, Section, key
 from qbxstokes.case.rheology import RheologySection
 from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, Output, Time
 from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
+from qbxstokes.case.statistics import Statistics
 from qbxstokes.case.sweep import Sweep
 from qbxstokes.case.values import Problem, describe
 from qbxstokes.solver_options import foreign_to_a_case, misleading
@@ -32,7 +33,7 @@ _FOREIGN = {
         "leave it out, or use task: rheology": "rheology",
     },
     "field": {
-        "leave it out, or use task: motion": "constraints time events sweep",
+        "leave it out, or use task: motion": "constraints time events sweep statistics",
         "leave it out": "field.every field.at",
         "give field.force and field.torque": "forces",
         "give field.velocity, with field.body: moving": "start.velocity",
@@ -44,14 +45,15 @@ _FOREIGN = {
     },
     "rheology": {
         "leave it out: the suspension is dilute": "bodies surroundings",
-        "leave it out, or use task: motion": "forces constraints time events checkpoint sweep",
+        "leave it out, or use task: motion": "forces constraints time events checkpoint sweep "
+        "statistics",
         "leave it out, or use task: field": "field",
         "leave it out: orientations are told by rheology.orientations": "start.orientation",
         "leave it out: nothing moves": "start.velocity start.angular_velocity",
         "leave it out: it chooses among the samples of a motion": "output.fields",
     },
     "body": {
-        "leave it out, or use task: motion": "forces constraints time events checkpoint",
+        "leave it out, or use task: motion": "forces constraints time events checkpoint statistics",
         "leave it out, or use task: field": "field",
         "leave it out, or use task: rheology": "rheology",
         "leave it out: nothing moves": "start.velocity start.angular_velocity body.stokes_number "
@@ -97,11 +99,7 @@ _VALUES = {"type": ["string", "number", "boolean", "null"]}
 PETSC_OPTIONS = Reader(_petsc_options, {"type": "object", "additionalProperties": _VALUES})
 
 
-class Case(
-    Section,
-    statistics=("ensembles are not there yet", "average over the table of a sweep"),
-    **_MOVED,
-):
+class Case(Section, **_MOVED):
     """One case: what to compute, for which body in which flow, and how."""
 
     task: Literal["motion", "field", "body", "rheology"] = key("what to compute", "motion")
@@ -133,6 +131,9 @@ class Case(
         "PETSc options without the dash; the command line overrides them", {}, {"ts_monitor": None}
     )
     sweep: Sweep | None = key("vary keys of the case: many trajectories, one result", None)
+    statistics: Statistics = key(
+        "what a sweep with store: statistics keeps of bodies along paths", Statistics()
+    )
     output: Output = key("the result file", Output())
     compare: Compare = key("what to hold the result against", Compare())
 

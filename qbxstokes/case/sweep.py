@@ -33,6 +33,7 @@ Array = NDArray[Any]
 CHUNK = 4096
 MAX_POINTS = 10**12
 TABLE = "table"
+TRAJECTORY: Key = ("flow", "trajectory")
 _RULES = ("linspace", "logspace", "uniform", "random")
 # What a sweep cannot vary: the result is one file with one set of instants.
 _FIXED = ("task", "title", "sweep", "output", "compare", "time.samples", "time.at")
@@ -69,8 +70,8 @@ class Sweep(Section):
         "{random: axes | rotations, count, seed}, or table: FILE.csv",
         example=[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}],
     )
-    store: Literal["samples", "summary"] = key(
-        "keep all samples, or only the table of summaries", "samples"
+    store: Literal["samples", "summary", "statistics"] = key(
+        "keep all samples, only the table of summaries, or only the section statistics", "samples"
     )
     block: Annotated[int, whole(ge=1, le=65_536)] = key(
         "trajectories integrated together, at most", 512

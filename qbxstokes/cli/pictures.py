@@ -36,6 +36,8 @@ of a motion
 {motion}
 of a field
   velocity-field, traction, error
+of an ensemble
+  distributions, means, correlation
 of a suspension
   material-functions, lissajous, distribution
 of a sweep

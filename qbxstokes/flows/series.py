@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.interpolation import INTERPOLATIONS, lagrange, window
+from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.transformed import TransformedFlow
-from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import Array, check_keys, tensor
+from qbxstokes.flows.user import load_function, resolve_paths
+from qbxstokes.flows.values import Array, check_keys, number, tensor
 from qbxstokes.tables import TableError, read_table
 
 OUTSIDE = "error", "clamp", "repeat"
@@ -91,23 +92,36 @@ class GradientSeries:
     def __len__(self) -> int:
         return math.prod(self.paths)
 
+    @classmethod
+    def gaussian(cls, **keys: Any) -> GradientSeries:
+        """Paths at random (`random_gradients`): end, spacing, paths, rate, correlation_time, ..."""
+        return series_of_file({"process": "gaussian", **keys})
+
     def path(self, number: int) -> GradientSeries:
         """The series of one path, by its number in the order of the leading axes."""
         if not 0 <= number < len(self):
             raise FlowError(f"trajectory {number} of {len(self)}", ("trajectory",))
-        place = np.unravel_index(number, self.paths) if self.paths else ...
-        return self._with(self.times, self.samples[place])
+        return self._with(self.times, self._rows[number, slice(None)])
+
+    def chosen(self, numbers: NDArray[np.int64]) -> GradientSeries:
+        """Some of the paths, by their numbers, in their order."""
+        if np.array_equal(numbers, np.arange(len(self))):
+            return self
+        return self._with(self.times, Chosen(self._rows, numbers))
 
     def thinned(self) -> GradientSeries:
         """The same of every other sample."""
-        return self._with(self.times[::2], self.samples[..., ::2, :])
+        return self.part(slice(None), slice(None, None, 2))
 
     def part(self, paths: slice, instants: slice) -> GradientSeries:
         """Some of the paths, by their numbers, at some of the instants."""
+        return self._with(self.times[instants], self._rows[paths, instants])
+
+    @property
+    def _rows(self) -> Any:
+        """Samples by path and instant, of which parts may be read."""
         whole = self.samples
-        if isinstance(whole, np.ndarray):
-            whole = whole.reshape(-1, *whole.shape[-2:])
-        return self._with(self.times[instants], whole[paths, instants])
+        return whole.reshape(-1, *whole.shape[-2:]) if isinstance(whole, np.ndarray) else whole
 
     def _with(self, times: Array, samples: Any) -> GradientSeries:
         rules = {"interpolation": self.interpolation, "trace": self.trace_rule}
@@ -118,10 +132,7 @@ class GradientSeries:
 
         Raises FlowError for what is no number.
         """
-        whole = self.samples
-        if isinstance(whole, np.ndarray):
-            whole = whole.reshape(-1, *whole.shape[-2:])
-        a = np.array(whole[first:stop, begin:end], dtype=np.float64)
+        a = np.array(self._rows[first:stop, begin:end], dtype=np.float64)
         if a.shape[-1] == 8:
             a = np.concatenate([a, -(a[..., :1] + a[..., 4:5])], axis=-1)
         size, least = float(np.max(a, initial=0.0)), float(np.min(a, initial=0.0))
@@ -200,6 +211,9 @@ class LinearInTime(Flow):
         if isinstance(gradient, Mapping):
             gradient = series_of_file(gradient)
         if isinstance(gradient, GradientSeries) and chosen is not None:
+            if isinstance(chosen, bool) or not isinstance(chosen, (int, float)) or chosen % 1:
+                right = f"a whole number; all paths: sweep.axes: [{{flow.trajectory: {chosen}}}]"
+                raise FlowError(f"trajectory is {chosen!r}; {right}", ("trajectory",))
             gradient = gradient.path(int(chosen))
         return cls(gradient, {"type": cls.type_name, **spec})
 
@@ -305,8 +319,11 @@ def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
 
     HDF5 and netCDF-4: datasets by name, gradients mapped as they come, `layout` the order of their
     axes, [trajectory, time] or [time, trajectory] (that of one path needs none). CSV and NPY: rows
-    of t and eight or nine components, one path. Raises FlowError.
+    of t and eight or nine components, one path. With {process: gaussian, rate, correlation_time,
+    paths, end, spacing, seed} the paths are made at random (`random_gradients`). Raises FlowError.
     """
+    if "process" in given:
+        return _of_process(given)
     known = ["file", "dataset", "time", "layout", "interpolation", "trace", "outside"]
     check_keys(given, known, "linear")
     rules = {name: given[name] for name in known[4:] if name in given}
@@ -322,6 +339,23 @@ def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
         wrong = f"{path}: has {numbers.shape[1]} columns; t and 8 or 9 components are expected"
         raise FlowError(wrong, ("gradient", "file"))
     return GradientSeries(numbers[:, 0], numbers[:, 1:], **rules)
+
+
+def _of_process(given: Mapping[str, Any]) -> GradientSeries:
+    defaults = {"rate": 1.0, "correlation_time": 1.0, "paths": 1000, "spacing": 0.1, "seed": 0}
+    check_keys(given, ["process", "end", *defaults], "linear")
+    if given["process"] != "gaussian":
+        raise FlowError(f"process is gaussian, not {given['process']!r}", ("gradient", "process"))
+    if "end" not in given:
+        raise FlowError("end is missing: the time that the paths last", ("gradient", "end"))
+    chosen = {name: given.get(name, value) for name, value in defaults.items()}
+    end = number(given["end"], "end")
+    rate, time, spacing = (number(chosen[n], n) for n in ("rate", "correlation_time", "spacing"))
+    if not 0.0 < spacing <= 0.2 * end or end / spacing > 1e8:
+        raise FlowError(f"spacing is {spacing:g}, and end {end:g}", ("gradient", "spacing"))
+    times = np.linspace(0.0, end, round(end / spacing) + 1)
+    samples = RandomSamples(times, int(chosen["paths"]), rate, time, int(chosen["seed"]))
+    return GradientSeries(times, samples)
 
 
 def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
@@ -343,6 +377,30 @@ def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
     return np.asarray(times, dtype=np.float64), InFile(data, layout[0] == "time")
 
 
+def series_of_case(spec: Mapping[str, Any], folder: Path) -> GradientSeries:
+    """The series of the paths of a linear flow's specification; raises FlowError."""
+    given = spec.get("gradient")
+    if spec.get("type") != "linear" or not isinstance(given, Mapping):
+        raise FlowError("has no paths; a linear flow with gradient: {file: ...} has", ("gradient",))
+    check_keys({k: v for k, v in spec.items() if k != "type"}, ["gradient", "trajectory"], "linear")
+    return series_of_file(resolve_paths(given, folder))
+
+
+class Chosen:
+    """Some paths of samples (paths, T, components), in their order, read as they are asked for."""
+
+    def __init__(self, whole: Any, numbers: NDArray[np.int64]) -> None:
+        self._whole, self._numbers = whole, numbers
+        self.shape = (len(numbers), *whole.shape[1:])
+        self.ndim, self.dtype = 3, whole.dtype
+
+    def __getitem__(self, place: Any) -> Any:
+        """By paths and instants."""
+        paths, instants = place
+        rows = [self._whole[int(number), instants] for number in self._numbers[paths]]
+        return np.stack(rows) if rows else np.empty((0, *self.shape[1:]))
+
+
 class InFile:
     """Samples (paths, T, components) of which parts are read as they are asked for."""
 
@@ -353,10 +411,8 @@ class InFile:
         self.ndim, self.dtype = 3, data.dtype
 
     def __getitem__(self, place: Any) -> Any:
-        """By paths, or paths and instants; `...` before the instants stands for all paths."""
-        places = list(place) if isinstance(place, tuple) else [place]
-        places[0] = slice(None) if places[0] is Ellipsis else places[0]
-        paths, instants = [*places, slice(None)][:2]
+        """By paths and instants."""
+        paths, instants = place
         if not self._time_first:
             return self._data[paths, instants]
         part = self._data[instants, paths]

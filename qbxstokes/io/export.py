@@ -30,6 +30,7 @@ _LEADING = {
     "field": ("time", "body"),
     "sweep": ("trajectory", "time", "sample", "body"),
     "rheology": ("peclet_number", "time"),
+    "ensemble": ("time", "lag"),
 }
 _KNOWN = {
     "distribution": ("peclet_number", "theta", "phi"),

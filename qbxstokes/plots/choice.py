@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qbxstokes.errors import CaseError
-from qbxstokes.plots import field, motion, rheology, style, sweep
+from qbxstokes.plots import ensemble, field, motion, rheology, style, sweep
 from qbxstokes.plots.series import draw_quantity, panels
 from qbxstokes.plots.source import ResultLike, is_motion
 from qbxstokes.quantities import RECORDABLE
@@ -31,7 +31,7 @@ def kinds(
     if roles:
         raise CaseError(f"{result.path}: is not a sweep, so it has no table whose columns to draw")
     found: dict[str, Callable[[], Figure]] = motion.drawings(result) if is_motion(result) else {}
-    found |= field.drawings(result) | rheology.drawings(result)
+    found |= field.drawings(result) | rheology.drawings(result) | ensemble.drawings(result)
     for kind in wanted:
         if kind in result.arrays and kind in RECORDABLE and is_motion(result):
             whole = [partial(draw_quantity, result=result, name=kind)]

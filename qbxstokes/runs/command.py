@@ -129,6 +129,11 @@ def _computed(
         # Every rank makes the same of the document.
         loaded, plan = own or (from_document(document, path, space), None)
     job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
+    sweep = loaded.case.sweep
+    if sweep is not None and sweep.store == "statistics":
+        from qbxstokes.runs.ensemble import ensemble_command
+
+        return ensemble_command(job)
     if loaded.space is not None:
         from qbxstokes.runs.sweep import sweep_command
 

@@ -8,7 +8,7 @@ once, in tiles of time, for all bodies.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.series import GradientSeries
+from qbxstokes.simulation.hydrodynamics import Workshop
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -47,13 +48,16 @@ class Ensemble:
     axes: Array | None = None
     settings: Statistics = field(default_factory=lambda: Statistics.read({}))
     tolerance: float = 1e-6
+    given_laws: Array | None = None  # see `laws`
 
     def __post_init__(self) -> None:
         """Raises SceneError for what cannot be followed."""
         for body in self.bodies:
             body.check_size()
             if np.any(body.stokes_number):
-                raise SceneError("stokes_number", "is not 0", "0: bodies of ensembles are massless")
+                raise SceneError(
+                    "body.stokes_number", "is not 0", "0: bodies of ensembles are massless"
+                )
         if not self.bodies:
             raise SceneError("bodies", "are none", "one body at least")
         if not 0.0 < self.tolerance <= 0.1:
@@ -99,11 +103,25 @@ class Ensemble:
         """All that is found, in the order of the sums."""
         return (*RATES, *STRAINS) if self.strained else RATES
 
+    def with_laws(self, workshop: Workshop) -> Ensemble:
+        """The same with the laws of the bodies, formed now."""
+        models = [body.formed(1, None, workshop)[0].model for body in self.bodies]
+        laws = [[m.faxen.linear, m.faxen.rest, m.error_estimate] for m in models]
+        return replace(self, given_laws=np.array(laws))
+
     @cached_property
     def laws(self) -> Array:
-        """lambda and 1/2 - |lambda|/2 of each body, (B, 2)."""
-        laws = [body.formed(1, None)[0].model.faxen for body in self.bodies]
-        return np.array([[law.linear, law.rest] for law in laws])
+        """lambda, 1/2 - |lambda|/2 and the estimated relative error of each body, (B, 3)."""
+        given = self.given_laws
+        return self.with_laws(Workshop()).laws if given is None else given
+
+    @property
+    def bytes_of_sums(self) -> int:
+        """Memory that the sums of a block take."""
+        b, q = len(self.bodies), len(self.names)
+        numbers = 2 * len(self.looks) + self.settings.bins + 3 * MOMENTS
+        axes = 3 * b * len(self.looks) * min(self.settings.keep, self.paths)
+        return 8 * (b * (q * numbers + 2 * len(self.lags)) + axes)
 
     def starts(self, first: int, stop: int) -> Array:
         """Axes (n, 3) at the start; those at random have a generator for each block."""
@@ -217,8 +235,7 @@ class Ensemble:
         """The statistics of all blocks, given in their order."""
         total: Sums = {}
         for sums in blocks:
-            for name, values in sums.items():
-                total[name] = total[name] + values if name in total else values.copy()
+            total = added(total, sums)
         paths = int(total["paths"][0])
         chosen = [self.names.index(name) for name in self.settings.quantities]
         first, square = total["means"][:, :, chosen] / paths
@@ -263,9 +280,16 @@ class Ensemble:
                 "vorticity_squared": vorticity,
                 "trace": self.series.trace,
                 "tolerance": self.tolerance,
+                "model_error_estimate": float(self.laws[:, 2].max()),
                 "sampling": dict(sampling or {}),
             },
         )
+
+
+def added(total: Sums, more: Sums) -> Sums:
+    """Sums and those of further paths."""
+    kept = {**total, **more}
+    return kept | {name: total[name] + more[name] for name in total.keys() & more.keys()}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,121 @@
+"""Pictures of an ensemble: distributions, means over paths in time, correlation of the axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.plots import style
+from qbxstokes.plots.source import ResultLike
+from qbxstokes.quantities import ENSEMBLE, LOOKED_AT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+KINDS = {
+    "distributions": "densities of rates and alignments along paths",
+    "means": "means over paths in time, with twice their standard errors",
+    "correlation": "correlation of the axis with itself",
+}
+_DRAWN = 50  # bins at least, where there are as many
+
+
+def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+    """Kind and drawing of each picture that an ensemble calls for."""
+    if result.task != "ensemble":
+        return {}
+    return {
+        "distributions": lambda: distributions_figure(result),
+        "means": lambda: means_figure(result),
+        "correlation": lambda: correlation_figure(result),
+    }
+
+
+def _quantities(result: ResultLike) -> list[str]:
+    return [name for name in LOOKED_AT if f"{name}_counts" in result.arrays]
+
+
+def _bodies(result: ResultLike) -> list[str]:
+    """What tells the bodies apart, in a legend."""
+    k, stokes = result.arrays["aspect_ratio"], result.arrays["stokes_number"]
+    several = len(set(stokes.tolist())) > 1
+    return [
+        rf"$k = {ratio:g}$" + (rf", $\mathrm{{St}} = {number:g}$" if several else "")
+        for ratio, number in zip(k.tolist(), stokes.tolist(), strict=True)
+    ]
+
+
+def _panels(result: ResultLike, columns: int) -> tuple[Figure, list[str], list[Axes]]:
+    names = _quantities(result)
+    rows = -(-len(names) // columns)
+    figure = style.new_figure(style.PAGE, 0.5 + 2.0 * rows)
+    panels: list[Axes] = list(np.ravel(np.atleast_1d(figure.subplots(rows, columns))))
+    for axes in panels[len(names) :]:
+        axes.set_visible(False)
+    return figure, names, panels[: len(names)]
+
+
+def distributions_figure(result: ResultLike) -> Figure:
+    """The density of each quantity: of rates squared over their mean, in logarithmic axes."""
+    figure, names, panels = _panels(result, 3)
+    for name, axes in zip(names, panels, strict=True):
+        counts, edges = result.arrays[f"{name}_counts"], result.arrays[f"{name}_edges"]
+        width = max(1, (len(edges) - 1) // _DRAWN)  # bins that are drawn as one
+        starts = np.arange(0, len(edges) - 1, width)
+        edges = edges[np.append(starts, len(edges) - 1)]
+        share = np.add.reduceat(counts[:, 1:-1], starts, axis=1)
+        density = share / counts.sum(axis=1, keepdims=True) / np.diff(edges)
+        symbol, rate = LOOKED_AT[name].symbol, not name.startswith("cos")
+        for index, text in enumerate(_bodies(result)):
+            mean = float(result.arrays[f"{name}_moments"][index, 0]) if rate else 1.0
+            middle = np.sqrt(edges[1:] * edges[:-1]) if rate else 0.5 * (edges[1:] + edges[:-1])
+            seen = density[index] > 0.0
+            look = style.line_style(index)
+            axes.plot(middle[seen] / mean, density[index][seen] * mean, label=text, **look)
+        if rate:
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            symbol = rf"{symbol}/\langle {symbol}\rangle"
+        axes.set_xlabel(f"${symbol}$")
+    style.set_ylabel(panels[0], "density")
+    panels[0].legend(loc="lower left")
+    style.letter_panels(panels)
+    return figure
+
+
+def means_figure(result: ResultLike) -> Figure:
+    """Means over paths against time, within twice their standard errors."""
+    figure, names, panels = _panels(result, 3)
+    times, paths = result.arrays["time"], int(result.summary["paths"])
+    for name, axes in zip(names, panels, strict=True):
+        means, spread = result.arrays[f"{name}_in_time"], result.arrays[f"{name}_spread_in_time"]
+        error = 2.0 * spread / np.sqrt(max(paths, 1))
+        for index, text in enumerate(_bodies(result)):
+            look = style.line_style(index)
+            axes.plot(times, means[:, index], label=text, **look)
+            low, high = means[:, index] - error[:, index], means[:, index] + error[:, index]
+            axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
+        axes.set_xlabel(f"time ${ENSEMBLE['time'].symbol}$")
+        style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$")
+    panels[0].legend(loc="best")
+    style.letter_panels(panels)
+    return figure
+
+
+def correlation_figure(result: ResultLike) -> Figure:
+    """The axis's correlation against the lag."""
+    figure = style.new_figure(style.COLUMN, 2.6)
+    axes = figure.subplots()
+    for index, text in enumerate(_bodies(result)):
+        values = result.arrays["correlation"][:, index]
+        axes.plot(result.arrays["lag"], values, label=text, **style.line_style(index))
+    axes.set_xlabel(rf"lag ${ENSEMBLE['lag'].symbol}$")
+    style.set_ylabel(axes, rf"${ENSEMBLE['correlation'].symbol}$")
+    style.legend_above(axes)
+    return figure

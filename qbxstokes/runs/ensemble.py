@@ -1,0 +1,389 @@
+"""A sweep of which statistics are kept: bodies along all paths of a series, on any number of ranks.
+
+Paths are handed out in units of some blocks, whose sums are added in the order of their numbers:
+the result is the same to the last bit on any number of ranks. A rank makes the units it has
+finished safe every `checkpoint.every`, in the working folder of the result.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.case.document import plain
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.case.schema import Case
+from qbxstokes.case.sweep import TRAJECTORY, Column, SweepSpace, column_name
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.series import GradientSeries, series_of_case
+from qbxstokes.geometry import rotation
+from qbxstokes.io.cache import open_cache
+from qbxstokes.io.store import Work, holds_work, open_work
+from qbxstokes.io.writer import ResultWriter
+from qbxstokes.quantities import of_ensemble
+from qbxstokes.runs.gathering import Gathering, notes, seconds_between
+from qbxstokes.runs.interrupt import interrupted
+from qbxstokes.runs.parallel import HandOut, on_root
+from qbxstokes.runs.progress import Progress, compilation_told
+from qbxstokes.runs.report import counted, duration, render, size
+from qbxstokes.runs.target import finished_result, identity_of, result_path
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Found, Sums, added
+from qbxstokes.simulation.from_case import pointed, start_quaternion
+from qbxstokes.simulation.hydrodynamics import Workshop
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
+
+UNITS = "units"  # the parts of an ensemble
+ORIENTATION = ("start", "orientation")
+# Most units, and bytes that their sums take together: rank 0 holds them all at the end.
+_MOST_UNITS, _MOST_BYTES = 1024, 256 * 2**20
+# Seconds on one core for a path and interval, a body more of it, a look at it; for a byte read.
+_PATH, _BODY, _LOOK, _BYTE = 2.0e-7, 3.5e-7, 2.0e-7, 1.0e-9
+
+
+def ensemble_command(job: Job) -> int:
+    """Carry out a sweep with `store: statistics`; returns the exit status."""
+    comm, loaded, options = job.comm, job.loaded, job.options
+    ensemble, swept = ensemble_of(loaded)
+    if options.dry_run or options.explain:
+        facts = plan_facts(ensemble, comm.size)
+        job.tell(facts, lambda: plan_text(loaded, ensemble, facts, comm.size))
+        if options.dry_run:
+            return 0
+    job.start()
+    summary = _run(job, ensemble, swept)
+    if "finished_before" in summary:
+        job.tell(summary, lambda: f"{summary['result']}: complete, nothing to resume")
+        return 0
+    job.conclude(summary, lambda: summary_text(loaded, summary))
+    return 0
+
+
+# -- from the case --------------------------------------------------------------------------------
+
+
+def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, NDArray[Any]]]:
+    """The ensemble that a case writes down, and the swept values of its bodies by name (B,)."""
+    case, space = loaded.case, loaded.space
+    assert space is not None
+    assert case.time is not None
+    paths: Column | None = None
+    starts: Column | None = None
+    axes = []
+    for columns in space.axes:
+        names = {column.key: column for column in columns}
+        if TRAJECTORY in names:
+            paths, starts = names.pop(TRAJECTORY), names.pop(ORIENTATION, None)
+        elif all(key[0] == "body" for key in names):
+            axes.append(columns)
+            continue
+        for key, column in names.items():
+            right = "sweep flow.trajectory, with start.orientation beside it, and keys of body"
+            raise loaded.error(column.where, f"{'.'.join(map(str, key))} has no statistics", right)
+    if paths is None:
+        right = "an axis such as flow.trajectory: all"
+        raise loaded.error("sweep.axes", "vary no flow.trajectory", right)
+    bodies, swept = _bodies(loaded, axes)
+    axis = None
+    if starts is not None:
+        values = starts.take(np.arange(starts.size))
+        axis = values if values.shape[1] == 3 else rotation.axis(rotation.normalize(values))
+    elif "orientation" in case.start.given_keys:
+        axis = rotation.axis(start_quaternion(case.start, bodies[0].shape))
+    series = _series(loaded, paths)
+    with pointed(loaded):
+        ensemble = Ensemble(bodies, series, axis, case.statistics, case.time.tolerance)
+    return ensemble, swept
+
+
+def _bodies(
+    loaded: LoadedCase, axes: list[tuple[Column, ...]]
+) -> tuple[tuple[Body, ...], dict[str, NDArray[Any]]]:
+    """A body for every combination of swept values, the last axis fastest, and these values."""
+    space = SweepSpace(tuple(axes))
+    found = space.values(np.arange(space.size)) if axes else {}
+    swept = {column_name(key): values for key, values in found.items()}
+    bodies = []
+    for place in np.ndindex(space.shape):
+        data = space.assign(loaded.document.data, place)
+        case = Case.read(data)
+        for name, given in (("forces", case.forces.given), ("constraints", case.constraints.given)):
+            if given:
+                raise loaded.error(name, "have no statistics", "leave them out")
+        bodies.append(
+            Body(
+                shape=case.body.outline,
+                stokes_number=case.body.stokes_number,
+                hydrodynamics=case.hydrodynamics,
+            )
+        )
+    return tuple(bodies), swept
+
+
+def _series(loaded: LoadedCase, paths: Column) -> GradientSeries:
+    """The gradients along the chosen paths, at the samples from 0 to the end of the motion."""
+    assert loaded.case.flow is not None
+    assert loaded.case.time is not None
+    try:
+        series = series_of_case(loaded.case.flow.spec(), loaded.path.parent)
+        chosen = paths.take(np.arange(paths.size))
+        if np.any(chosen != np.round(chosen)) or chosen.min() < 0 or chosen.max() >= len(series):
+            wrong = f"reach from {chosen.min():g} to {chosen.max():g}"
+            right = f"whole numbers from 0 to {len(series) - 1}"
+            raise loaded.error(paths.where, wrong, right)
+        series = series.chosen(chosen.astype(np.int64))
+        times, end = series.times, loaded.case.time.end
+        if end is None:
+            raise loaded.error("time", "gives no end", "time.end, up to the last sample")
+        if not times[0] <= 0.0 < end <= times[-1] * (1.0 + 1e-12):
+            wrong = f"is {end:g} and the series covers {times[0]:g} to {times[-1]:g}"
+            raise loaded.error("time.end", wrong, "an end within the series, which starts at 0")
+        last = int(np.searchsorted(times, end * (1.0 + 1e-12), "right"))
+        return series.part(slice(None), slice(int(np.searchsorted(times, 0.0)), last))
+    except FlowError as error:
+        raise loaded.error(("flow", *error.key), str(error)) from None
+
+
+# -- the work -------------------------------------------------------------------------------------
+
+
+def units_of(ensemble: Ensemble) -> list[range]:
+    """Blocks of each unit: as many units as rank 0 can hold the sums of, at most."""
+    held = ensemble.bytes_of_sums
+    most = max(1, min(_MOST_UNITS, int(_MOST_BYTES / held), ensemble.blocks))
+    per_unit = -(-ensemble.blocks // most)
+    starts = range(0, ensemble.blocks, per_unit)
+    return [range(start, min(start + per_unit, ensemble.blocks)) for start in starts]
+
+
+def _run(job: Job, ensemble: Ensemble, swept: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Follow all paths on all ranks; returns the summary on all of them."""
+    comm, loaded = job.comm, job.loaded
+    units = units_of(ensemble)
+    identity = identity_of(loaded, [], units=len(units), block=BLOCK)
+    every = seconds_between(loaded)
+    own: list[Work] = []
+
+    def opened() -> tuple[Any, list[int], Path | None]:
+        resume = job.options.resume
+        done = finished_result(loaded, identity) if resume and not job.overwrite else None
+        if done is not None:
+            return None, [], done
+        asked = result_path(loaded)
+        own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
+        own[0].note_run()
+        finished = [note["unit"] for note in notes(own[0], UNITS)] if own[0].resumed else []
+        return own[0].joined(0), finished, None
+
+    folder, finished, done = on_root(comm, opened)
+    if done is not None:
+        return {"result": str(done), "finished_before": True}
+    folder = own[0] if own else folder.joined(comm.rank)
+    try:
+        with job.clock.part("models"):
+            cache = open_cache(loaded.case.hydrodynamics.cache, job.options.no_cache)
+            formed = on_root(comm, lambda: ensemble.with_laws(Workshop(cache=cache)).given_laws)
+            ensemble = replace(ensemble, given_laws=formed)
+        gathering = Gathering(comm, folder, UNITS, every=every)
+        left = sorted(set(range(len(units))) - set(finished))
+        begin = time.perf_counter()
+        sampling = _follow(job, ensemble, units, left, gathering)
+        with job.clock.part("output"):
+            if comm.rank:
+                list(gathering.collect())
+            summary = on_root(
+                comm,
+                lambda: _write(
+                    job, ensemble, swept, folder, gathering, len(units), sampling, begin
+                ),
+            )
+    except BaseException:
+        folder.close(remove=not holds_work(folder.folder) and comm.rank == 0)
+        raise
+    folder.close(remove=comm.rank == 0)
+    return summary
+
+
+def _follow(
+    job: Job, ensemble: Ensemble, units: list[range], left: list[int], gathering: Gathering
+) -> dict[str, Any]:
+    """What is left of the paths, unit by unit as ranks become free; returns what samples leave."""
+    comm, clock, counters = job.comm, job.clock, HandOut(job.comm)
+    speak = comm.rank == 0 and not job.options.quiet and job.options.progress != "none"
+    before = min(
+        ensemble.paths, BLOCK * sum(len(units[n]) for n in set(range(len(units))) - {*left})
+    )
+    progress = None
+    if comm.rank == 0 and not job.options.quiet:
+        progress = Progress(ensemble.paths, job.options.progress, comm.size, "paths", before)
+    job.interruption.listening = True
+
+    def poke() -> None:
+        counters.poke()
+        if progress is not None and progress.due:
+            progress.update(min(ensemble.paths, before + counters.read(HandOut.DONE)))
+        if job.interruption.asked():
+            gathering.save()
+            raise interrupted(gathering.work.folder, job.interruption.signal)
+
+    sampling: dict[str, Any] = {}
+    with compilation_told(comm, speak):
+        while (place := counters.next(HandOut.BLOCKS)) < len(left) + 1:
+            if place == 0:  # the first thing to do, by whoever comes first
+                with clock.part("sampling"):
+                    sampling = ensemble.sampling() if ensemble.settings.sampling else {}
+                continue
+            number = left[place - 1]
+            sums: Sums = {}
+            with clock.part("paths"):
+                for block in units[number]:
+                    sums = added(sums, ensemble.block(block))
+                    counters.add(HandOut.DONE, BLOCK)
+                    poke()
+            with clock.part("output"):
+                gathering.add(
+                    {**sums, "trace": np.array([ensemble.series.trace])}, {"unit": number}
+                )
+    with clock.part("waiting"):
+        counters.wait()
+    if progress is not None:
+        progress.close(ensemble.paths, 0)
+    counters.wait()
+    counters.close()
+    return next((found for found in comm.allgather(sampling) if found), {})
+
+
+def _write(
+    job: Job,
+    ensemble: Ensemble,
+    swept: dict[str, NDArray[Any]],
+    folder: Work,
+    gathering: Gathering,
+    count: int,
+    sampling: dict[str, Any],
+    begin: float,
+) -> dict[str, Any]:
+    """On rank 0: the sums of all units in their order, into the result file; the summary."""
+    loaded, held = job.loaded, {}
+    trace = 0.0
+    try:
+        for arrays, note in gathering.collect():
+            trace = max(trace, float(arrays.pop("trace")[0]))
+            held[note["unit"]] = arrays
+    finally:
+        gathering.drain()
+    found = ensemble.result((held.pop(number) for number in range(count)), sampling)
+    ratios = np.array([body.effective_ratio for body in ensemble.bodies])
+    stokes = np.array([float(body.stokes_number) for body in ensemble.bodies])
+    arrays = {"aspect_ratio": ratios, "stokes_number": stokes} | {
+        name: values for name, values in swept.items() if values.dtype.kind == "f"
+    }
+    arrays |= dict(arrays_of(found))
+    summary = {
+        "case": str(loaded.path),
+        "title": loaded.case.title,
+        "task": "ensemble",
+        "complete": True,
+        **found.summary,
+        "trace": trace,
+        "bodies": len(ensemble.bodies),
+        "quantities": list(found.quantities),
+        "wall_time": time.perf_counter() - begin,
+        "ranks": job.comm.size,
+    }
+    record = {**job.provenance, "identity": json.dumps(folder.identity)}
+    replaces = job.overwrite or folder.resumed
+    with ResultWriter(folder.target, "ensemble", record, replaces, folder.folder) as writer:
+        writer.put(arrays, {name: of_ensemble(name) for name in arrays})
+        summary["result"] = str(writer.finish(plain(summary)))
+    return summary
+
+
+def arrays_of(found: Found) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The datasets of a result, by name."""
+    for place, name in enumerate(found.quantities):
+        yield f"{name}_moments", found.moments[:, place]
+        yield f"{name}_moments_error", found.moments_error[:, place]
+        yield f"{name}_over_strain", found.over_strain[:, place]
+        yield f"{name}_over_strain_error", found.over_strain_error[:, place]
+        yield f"{name}_edges", found.edges[place]
+        yield f"{name}_counts", found.counts[:, place]
+        yield f"{name}_in_time", found.mean_in_time[:, place].T
+        yield f"{name}_spread_in_time", found.spread_in_time[:, place].T
+    yield "time", found.time
+    yield "lag", found.lag
+    yield "correlation", found.correlation.T
+    if found.axes is not None:
+        yield "axis", found.axes
+
+
+# -- what is told ---------------------------------------------------------------------------------
+
+
+def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
+    """What will be done, and what it takes."""
+    intervals, bodies = len(ensemble.series.times) - 1, len(ensemble.bodies)
+    cells = float(ensemble.paths * intervals)
+    looks = ensemble.paths * len(ensemble.looks) * bodies * len(ensemble.names) / 3.0
+    read = cells * ensemble.series.samples.shape[-1] * ensemble.series.samples.dtype.itemsize
+    work = cells * (_PATH + bodies * _BODY) + looks * _LOOK + read * _BYTE
+    return {
+        "paths": ensemble.paths,
+        "samples": intervals + 1,
+        "bodies": bodies,
+        "looks": len(ensemble.looks),
+        "bytes_read": read,
+        "bytes_on_disk": ensemble.bytes_of_sums
+        + 8 * 3 * bodies * len(ensemble.looks) * min(ensemble.settings.keep, ensemble.paths),
+        "seconds": {str(p): work / p for p in sorted({1, ranks, 64})},
+    }
+
+
+def plan_text(loaded: LoadedCase, ensemble: Ensemble, facts: dict[str, Any], ranks: int) -> str:
+    """The same to read."""
+    seconds = facts["seconds"]
+    runs = [
+        ("paths", f"{facts['paths']} of {counted(facts['samples'], 'sample')}"),
+        ("bodies", f"{facts['bodies']}, each along every path"),
+        ("looks", f"{facts['looks']} at {', '.join(ensemble.settings.quantities)}"),
+    ]
+    needs = [
+        ("read", size(facts["bytes_read"])),
+        ("disk", f"{size(facts['bytes_on_disk'])} for {result_path(loaded)}"),
+        ("time", f"about {duration(seconds[str(ranks)])} on {counted(ranks, 'rank')}"),
+    ]
+    return _text(loaded, {"Runs": runs, "Needs": needs}) + "\n"
+
+
+def _text(loaded: LoadedCase, sections: Any) -> str:
+    title = f"Ensemble: {loaded.case.title or loaded.path.stem}"
+    return render(title, str(loaded.path), sections)
+
+
+def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
+    """What was found, how fast, and where it is."""
+    solved = [
+        (
+            "paths",
+            f"{summary['paths']}, {counted(int(summary['bodies']), 'body', 'bodies')} along each",
+        ),
+        ("trace", f"{summary['trace']:.2g} of the gradients' size was projected out"),
+    ]
+    sampling = summary["sampling"]
+    if sampling:
+        text = f"{sampling['axis_median']:.2g} of the axis at the end (median), "
+        text += f"{sampling['axis_90_percent']:.2g} for 9 of 10"
+        solved.append(("left by samples", text))
+    spent = f"{duration(summary['wall_time'])} on {counted(summary['ranks'], 'rank')}"
+    times = [("ensemble", spent)]
+    sections = {"Solved": solved, "Times": times, "Result": [("file", summary["result"])]}
+    return _text(loaded, sections)
