@@ -15,6 +15,7 @@ import pytest
 from euler_orbits import euler_angles_at
 from numpy.typing import NDArray
 
+import qbxstokes
 from qbxstokes.case.load import case_of
 from qbxstokes.cli.main import run_command
 from qbxstokes.cli.pictures import drawings, picture_command
@@ -716,3 +717,23 @@ def test_as_many_samples_as_the_motion_needs(k: float) -> None:
     assert samples_of(case_of({**case, "sweep": sweep})) >= n
     assert samples_of(case_of({**case, "time": {"end": 1e9}})) == 20_001
     assert samples_of(case_of({**case, "flow": {"type": "extension"}, "time": {"end": 1e9}})) == 201
+
+
+def test_an_overview_fits_a4(tmp_path: Path) -> None:
+    """Also of a body that does everything: with inertia, pushed, in a flow that carries it."""
+    case = {
+        "body": {"aspect_ratio": 0.5, "stokes_number": 3.0},
+        "flow": {"type": "paraboloid"},
+        "start": {"position": [0, 1, 0.1], "orientation": {"axis": [1, 0.3, 1]}},
+        "forces": {"force": [0.3, 0.01, 5.0], "torque": [0.0, 0.001, 1.0]},
+        "time": {"end": 5.0, "samples": 61, "tolerance": 1e-6},
+        "compare": {"reference": "none"},
+    }
+    figure = qbxstokes.run(case).plot("overview")
+    assert len(figure.axes) > 12
+    assert figure.get_figwidth() <= 8.27 - 2 * 0.5
+    assert figure.get_figheight() <= 11.69 - 2 * 0.5
+    figure.savefig(tmp_path / "a.png")
+    tops = sorted((axes.get_position().x0, axes.get_position().y1) for axes in figure.axes)
+    assert len(set(tops)) == len(figure.axes)
+    assert min(a.get_position().height for a in figure.axes if a.get_ylabel()) > 0.04

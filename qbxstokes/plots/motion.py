@@ -22,7 +22,7 @@ def stacked(drawn: Sequence[Panel]) -> Figure:
     """Panels over one time axis, one above the other."""
     figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * len(drawn))
     grid = figure.add_gridspec(len(drawn), 1)
-    _finish(figure, _column(figure, grid, 0, 0, drawn))
+    style.letter_panels(_column(figure, grid, 0, 0, drawn))
     return figure
 
 
@@ -34,14 +34,14 @@ def overview_figure(result: ResultLike) -> Figure:
     if with_orbit:  # rows of the second column, so that both columns end on the same row
         taken = 2 if len(every) % 2 == 0 else 3 if len(every) > 4 else 1
     rows = -(-(len(every) + taken) // 2)
-    figure = style.new_figure(style.PAGE, 0.35 + 1.55 * rows)
+    figure = style.new_figure(style.PAGE, min(0.35 + 1.55 * rows, style.TALL))
     grid = figure.add_gridspec(rows, 2)
     drawn = _column(figure, grid, 0, 0, every[:rows])
     if with_orbit:
         orbit = figure.add_subplot(grid[:taken, 1])
         draw_orbit(orbit, result)
         drawn.append(orbit)
-    _finish(figure, drawn + _column(figure, grid, 1, taken, every[rows:]))
+    style.letter_panels(drawn + _column(figure, grid, 1, taken, every[rows:]))
     return figure
 
 
@@ -69,11 +69,6 @@ def _column(
             axes.tick_params(labelbottom=False)
         drawn.append(axes)
     return drawn
-
-
-def _finish(figure: Figure, drawn: Sequence[Axes]) -> None:
-    style.letter_panels(drawn)
-    figure.align_ylabels(list(drawn))
 
 
 _ROTATION = ("axis", "euler_angles", "angular_velocity")

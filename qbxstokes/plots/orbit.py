@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _REACH = 1.32  # how far the coordinate axes stick out of the sphere
 _CLOSED = 0.05  # an orbit that keeps within this of itself is drawn in one colour
+_TRIED, _PIECE = 400, 10_000  # points whose distance is looked at, and at once to how many
 _MANY = 40_000  # points of a path; longer ones are drawn as pixels
 
 
@@ -64,14 +65,22 @@ def drifts(path: Array) -> bool:
     The points of the last quarter are compared with all of the first half, and the first quarter
     with the last half: a closed orbit passed at least twice keeps within its own line.
     """
-    from scipy.spatial import cKDTree
-
     if len(path) < 40:
         return False
     half, quarter = len(path) // 2, len(path) // 4
-    late, _ = cKDTree(path[:half]).query(path[-quarter:])
-    early, _ = cKDTree(path[half:]).query(path[:quarter])
-    return bool(max(late.max(), early.max()) > _CLOSED)
+    late, early = _farthest(path[-quarter:], path[:half]), _farthest(path[:quarter], path[half:])
+    return max(late, early) > _CLOSED
+
+
+def _farthest(some: Array, others: Array) -> float:
+    """The largest distance of some points (at most `_TRIED` of them) to the nearest of others."""
+    tried = some[:: -(-len(some) // _TRIED)]
+    nearest = np.full(len(tried), np.inf)
+    for begin in range(0, len(others), _PIECE):
+        piece = others[begin : begin + _PIECE]
+        apart = 2.0 - 2.0 * (tried @ piece.T)  # squared, on the unit sphere
+        nearest = np.minimum(nearest, apart.min(axis=1))
+    return float(np.sqrt(nearest.max()))
 
 
 def draw_sphere(axes: Axes, camera: Camera) -> None:

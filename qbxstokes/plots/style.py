@@ -31,6 +31,7 @@ FORMATS = ("pdf", "svg", "png")
 # Widths of a column and of a page in inches (86 mm and 178 mm, common to physics journals).
 COLUMN = 3.4
 PAGE = 7.0
+TALL = 10.6  # what A4 leaves of its 11.7 inches
 
 BLACK = "#000000"
 GREY = "#8c8c8c"
@@ -95,7 +96,7 @@ _SETTINGS: dict[str, Any] = {
     "ytick.right": True,
     **{f"{axis}tick.{key}": value for axis in "xy" for key, value in _TICKS.items()},
     "image.cmap": SEQUENTIAL,
-    "figure.dpi": 150,
+    "figure.dpi": 72,  # as of vector files
     "figure.constrained_layout.use": True,
     "savefig.dpi": 300,
     "savefig.facecolor": "white",
@@ -111,15 +112,24 @@ _SETTINGS: dict[str, Any] = {
 def styled() -> Iterator[None]:
     """Everything drawn or saved inside the block follows this module.
 
+    All its renderers share one parser of formulas, where each of matplotlib's would parse them all
+    anew, which is a third of the time of a picture.
+
     >>> with styled():  # doctest: +SKIP
     ...     drawn = new_figure(COLUMN, 2.4)
     """
     import matplotlib
+    from matplotlib import text, textpath
 
+    own = text.TextToPath
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # nobody's matplotlibrc changes the pictures
         matplotlib.rcParams.update(_SETTINGS)
-        yield
+        text.TextToPath = lambda: textpath.text_to_path  # type: ignore[assignment, misc]
+        try:
+            yield
+        finally:
+            text.TextToPath = own  # type: ignore[misc]
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -143,7 +153,7 @@ def _picture() -> type[Figure]:
         def _repr_png_(self) -> bytes:
             with styled(), BytesIO() as stream:
                 _lay_out(self)
-                self.savefig(stream, format="png", dpi=_SETTINGS["figure.dpi"])
+                self.savefig(stream, format="png", dpi=150)
                 return stream.getvalue()
 
     return Picture
@@ -269,7 +279,8 @@ def save(figure: Figure, path: Path, dpi: float = 300.0) -> Path:
 def _lay_out(figure: Figure) -> None:
     """Find the places of all parts once, and spare numbers without a power the parser of formulas.
 
-    Both together are half of the time of a picture.
+    Labels of panels above one another are aligned afterwards: matplotlib looks at all others for
+    each of them. Together this was two thirds of the time of a picture.
     """
     from matplotlib.ticker import ScalarFormatter
 
@@ -281,9 +292,20 @@ def _lay_out(figure: Figure) -> None:
             if isinstance(formatter, ScalarFormatter) and low <= size < high:
                 formatter.set_useMathText(False)
     engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
+    if engine is None:
+        return
+    engine.execute(figure)
+    figure.set_layout_engine("none")
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    left: dict[float, list[Axes]] = {}
+    for axes in figure.axes:
+        if axes.get_ylabel() and axes.yaxis.label_position == "left":
+            axes.yaxis.get_tightbbox(renderer)  # puts the label where the ticks leave off
+            left.setdefault(round(axes.get_position().x0, 6), []).append(axes)
+    for column in left.values():
+        place = min(axes.yaxis.label.get_position()[0] for axes in column)
+        for axes in column:
+            axes.yaxis.set_label_coords((place - axes.bbox.x0) / axes.bbox.width, 0.5)
 
 
 @contextmanager
