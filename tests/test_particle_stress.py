@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.motion.stress import components
+from qbxstokes.geometry.symmetric import components
 from qbxstokes.reference import stress
 
 SHEAR = qs.flow("shear")

@@ -31,10 +31,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.scatterer import Scatterer, Table, scatterer
+from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.errors import ContactError
 from qbxstokes.geometry import gaps
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.qbx.confocal import Table
+from qbxstokes.qbx.exterior import ExteriorFlow
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -259,7 +261,11 @@ class Coupled:
     def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
         """Velocity (N, 3), in space, of body c's own flow at points of space."""
         table = table or self.table_at(c, points, False)
-        return np.asarray(table.velocity(flow) @ self.bodies[c].rotation.T)
+        return np.asarray(table.evaluate(flow)["velocity"] @ self.bodies[c].rotation.T)
+
+    def exterior(self, c: int, flow: ComplexArray) -> ExteriorFlow:
+        """Body c's own flow in its frame, to be evaluated anywhere outside it."""
+        return ExteriorFlow(self.maps[c].harmonics, flow)
 
     def reflected(
         self, c: int, flow: ComplexArray, points: Array, table: Table | None = None
@@ -268,11 +274,11 @@ class Coupled:
         assert self.wall is not None
         table = table or self.table_at(c, points, True)
         turn, size = self.bodies[c].rotation, self.bodies[c].size
-        u, gradient, p, slope = table.all(flow)
-        normal = self.wall.normal
+        own, normal = table.evaluate(flow, True), self.wall.normal
+        u, p = own["velocity"], own["pressure"]
         h = self.wall.height(points)[:, None]
-        lift = gradient @ (turn.T @ normal) @ turn.T / size
-        push = slope @ turn.T / size**2
+        lift = (turn.T @ normal) @ own["gradient"] @ turn.T / size
+        push = own["pressure_gradient"] @ turn.T / size**2
         sum_ = 2.0 * h * lift + h * h * push
         sum_ -= 2.0 * (sum_ @ normal)[:, None] * normal
         pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)

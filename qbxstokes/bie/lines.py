@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import FlowAround, FlowField, surface_map
+from qbxstokes.bie.exterior import ExteriorField
+from qbxstokes.bie.field import FlowAround, FlowField
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Shape
@@ -152,9 +153,7 @@ class MovingFlow:
     """
 
     def __init__(self, grid: SurfaceGrid, flow: FlowField, degree: int | None) -> None:
-        self.grid = grid
-        self.flow = flow
-        self.map = surface_map(grid, degree)
+        self.grid, self.flow, self.degree = grid, flow, degree
 
     def relative_velocity(
         self, t: float, position: Array, rotation: Array, velocity: Array, spin: Array, x: Array
@@ -169,5 +168,5 @@ class MovingFlow:
             space = points @ rotation.T + position
             return np.asarray(u + np.cross(w, points) - self.flow.velocity(space, t) @ rotation)
 
-        table = self.map.flow(slip(self.grid.points))
-        return np.asarray(table.evaluate(x, with_stress=False)[0] - slip(x))
+        own = ExteriorField(self.grid, slip(self.grid.points), self.degree)
+        return np.asarray(own.evaluate(x, tolerance=0.0, method="table")["velocity"] - slip(x))

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import components
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
-from qbxstokes.motion.stress import StressSource, components, inertial_stresses
+from qbxstokes.motion.stress import StressSource, inertial_stresses
 from qbxstokes.quantities import RECORDABLE
 
 Array = NDArray[np.float64]

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import PAIRS, components
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, SPIN
 
 Array = NDArray[np.float64]
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_PLACES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 _UNIT: Array = np.eye(3)
 
 
@@ -80,16 +79,6 @@ def stresslets(numbers: Array, p: Array, strain: Array) -> Array:
     found[4] = p1 * v3 + p3 * v1 + s2 * e13
     found[5] = p2 * v3 + p3 * v2 + s2 * e23
     return found
-
-
-def symmetric(rows: Array) -> Array:
-    """Symmetric tensors (..., 3, 3) of components (..., 6) in the order 11 22 33 12 13 23."""
-    return np.asarray(rows[..., _PLACES])
-
-
-def components(tensors: Array) -> Array:
-    """Components (..., 6) of symmetric tensors (..., 3, 3)."""
-    return np.stack([tensors[..., i, j] for i, j in PAIRS], axis=-1)
 
 
 def torque_stresslets(law: float | Array, p: Array, torque: Array) -> Array:

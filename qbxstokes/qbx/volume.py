@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
-from qbxstokes.qbx.exterior import SURFACE_MARGIN
+from qbxstokes.geometry.symmetric import symmetric
+from qbxstokes.qbx.exterior import SURFACE_MARGIN, WHAT
 from qbxstokes.qbx.modes import to_modes
 
 Array = NDArray[np.float64]
@@ -53,15 +54,15 @@ class LayerPotentials:
 
     def evaluate(
         self, points: Array, tolerance: float = 1e-10, method: str | None = None
-    ) -> tuple[Array, Array, Array, IntArray]:
-        """Velocity (N, 3), pressure (N,), stress (N, 6) and the index into METHODS used (N,).
+    ) -> tuple[dict[str, Array], IntArray]:
+        """All of `exterior.WHAT` at points (N, 3), and the index into METHODS used (N,).
 
         NaN and -1 inside the body. method: use this one for all targets instead of choosing.
         tolerance: relative to the size of the density.
         """
         points = np.atleast_2d(np.asarray(points, dtype=float))
         shape, modes = self.grid.shape, self._modes
-        out = np.full((len(points), 10), np.nan)
+        out = np.full((len(points), 16), np.nan)
         used = np.full(len(points), -1, dtype=np.int64)
         rho, heights = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
         feet, distances = shape.nearest(rho, heights)
@@ -74,11 +75,16 @@ class LayerPotentials:
             used[i] = METHODS.index(chosen)
             rule, order = self._rule(chosen, r, z, theta, distance, radius, tolerance, len(modes))
             out[i] = self._sum(point, (theta, distance), radius, order, rule)
-        return out[:, :3], out[:, 3], out[:, 4:], used
+        stress, spin = out[:, 4:10], out[:, 10:13]
+        # grad u is half of stress + p I and of what turns with the vorticity: u_i,j - u_j,i.
+        gradient = 0.5 * (symmetric(stress) - np.cross(spin[:, None], np.eye(3)))
+        gradient += 0.5 * out[:, 3, None, None] * np.eye(3)
+        values = out[:, :3], gradient, out[:, 3], out[:, 13:], stress
+        return dict(zip(WHAT, values, strict=True)), used
 
     def by_rule(self, points: Array, rule: tuple[NDArray[Any], ...]) -> Array:
         """Velocity (N, 3) at points outside by the plain kernel on one source rule for all."""
-        out = np.empty((len(points), 10))
+        out = np.empty((len(points), 16))
         feet, distances = self.grid.shape.nearest(
             np.hypot(points[:, 0], points[:, 1]), points[:, 2]
         )
@@ -103,7 +109,7 @@ class LayerPotentials:
         order: int,
         rule: tuple[NDArray[Any], ...],
     ) -> Array:
-        """Velocity, pressure and stress (10,) at a point whose foot is (theta, distance)."""
+        """`volume_kernel.potentials` (16,) at a point whose foot is (theta, distance)."""
         from qbxstokes.qbx.volume_kernel import potentials
 
         grid, (theta, distance) = self.grid, foot
@@ -122,7 +128,7 @@ class LayerPotentials:
         (d_rho, d_z), speed = shape.tangent(at), shape.speed(at)
         nodes, *rest = rule
         sources = *shape.meridian(nodes), *shape.area_vector(nodes), *shape.difference(nodes, theta)
-        result = np.zeros(10)
+        result = np.zeros(16)
         potentials(
             np.array([float(shape.meridian(at)[0]), -d_z / speed, d_rho / speed]),
             distance,
@@ -212,8 +218,8 @@ def plain_rule(n_theta: int, n_phi: int) -> tuple[NDArray[Any], ...]:
 
 
 def _turn(result: Array, c: float, s: float) -> Array:
-    """Turn u, p, stress (10,) about the axis by the angle with cosine c and sine s."""
-    ux, uy, uz, p, xx, yy, zz, xy, xz, yz = result
+    """Turn the numbers (16,) about the axis by the angle with cosine c and sine s."""
+    ux, uy, uz, p, xx, yy, zz, xy, xz, yz, wx, wy, wz, gx, gy, gz = result
     return np.array(
         [
             c * ux - s * uy,
@@ -226,5 +232,7 @@ def _turn(result: Array, c: float, s: float) -> Array:
             c * s * (xx - yy) + (c * c - s * s) * xy,
             c * xz - s * yz,
             s * xz + c * yz,
+            *(c * wx - s * wy, s * wx + c * wy, wz),
+            *(c * gx - s * gy, s * gx + c * gy, gz),
         ]
     )

@@ -1,15 +1,17 @@
-"""Compiled layer potentials, their pressure and stress at points off and on the surface.
+"""Compiled layer potentials, pressure, stress, vorticity and pressure gradient at points.
 
 With S = 1/|x - y| and its derivatives in x, r = x - y and a = (r.n) psi + (r.psi) n, the double
-layer (method of `kernel`, derivatives taken in x) has the velocity, pressure and stress
+layer (method of `kernel`, derivatives taken in x) has velocity, pressure, stress and vorticity
 
     u   = -(grad grad S) a + (n (psi.grad S) + psi (n.grad S))
     p   = -4 psi.(grad grad S).n
     sig =  I 4 psi.(grad grad S).n - 2 (grad grad grad S).a
+    w   = 2 ((grad grad S) psi x n + (grad grad S) n x psi),   grad p = -4 (grad grad grad S) psi n
 
 and the single layer, without 1/(8 pi),
 
-    u = S mu - (r.mu) grad S,   p = -2 mu.grad S,   sig = I 2 mu.grad S - 2 (r.mu) grad grad S.
+    u = S mu - (r.mu) grad S,   p = -2 mu.grad S,   sig = I 2 mu.grad S - 2 (r.mu) grad grad S,
+    w = 2 grad S x mu,   grad p = -2 (grad grad S) mu.
 
 Replacing S by its local expansion of order p about a centre, S_p, turns these into quadrature by
 expansion (Klöckner et al. 2013, J. Comput. Phys. 252; Siegel & Tornberg 2018, ibid. 364): the same
@@ -106,14 +108,14 @@ def potentials(  # type: ignore[no-untyped-def]
     force,
     result,
 ):
-    """Layer potentials at one target in the half plane phi = 0: result (10,) += u, p, stress.
+    """Layer potentials at one target in the half plane phi = 0, added to result (16,).
 
-    foot: of the target, distance from the axis and normal along rho and z. sources (n, 6): at the
-    theta nodes rho, z, the normal times dS / (dtheta dphi) along rho and z, and rho and z less
-    those of the foot. Source rule as in `panels`: azimuthal nodes on [0, pi] whose weights count
-    both halves; the density is not symmetric and is summed over both.
-    double_modes (n_modes, 3, n_theta, complex): modes of psi as (rho, phi / i, z), turned so that
-    the target is at phi = 0; the real part of their sum is meant.
+    result: u, p, stress, vorticity and grad p. foot: of the target, distance from the axis and
+    normal along rho and z. sources (n, 6): at the theta nodes rho, z, the normal times
+    dS / (dtheta dphi) along rho and z, and rho and z less those of the foot. Source rule as in
+    `panels`: azimuthal nodes on [0, pi] whose weights count both halves; the density is not
+    symmetric and is summed over both. double_modes (n_modes, 3, n_theta, complex): modes of psi as
+    (rho, phi / i, z), turned so that the target is at phi = 0; the real part of their sum is meant.
     force (6,): the single layer's density is (force[:3] + force[3:] x y) sin(theta) dtheta dphi,
     with the factor 1/(8 pi).
     order < 0: the plain kernel. Otherwise an expansion about the centre at the distance radius
@@ -291,3 +293,36 @@ def potentials(  # type: ignore[no-untyped-def]
                     + c6 * (sx * xz + sz * xx)
                 )
                 result[9] += c1 * uy * uz + c2 * uy * xz + c5 * (sy * uz + sz * uy) + c6 * sy * xz
+                # Vorticity and pressure gradient, with h v = (grad grad S) v.
+                p1 = i3 * (t2a * up - t2b * xp)
+                p2 = i3 * (t2c * xp - t2b * up)
+                n1 = i3 * (t2a * un - t2b * xn)
+                n2 = i3 * (t2c * xn - t2b * un)
+                hpx = ux * p1 + xx * p2 + px * e3
+                hpy = uy * p1 + py * e3
+                hpz = uz * p1 + xz * p2 + pz * e3
+                hnx = ux * n1 + xx * n2 + nx * e3
+                hny = uy * n1 + ny * e3
+                hnz = uz * n1 + xz * n2 + nz * e3
+                result[10] += 2.0 * (hpy * nz - hpz * ny + hny * pz - hnz * py + gy * mz - gz * my)
+                result[11] += 2.0 * (hpz * nx - hpx * nz + hnz * px - hnx * pz + gz * mx - gx * mz)
+                result[12] += 2.0 * (hpx * ny - hpy * nx + hnx * py - hny * px + gx * my - gy * mx)
+                um = ux * mx + uy * my + uz * mz
+                xm = xx * mx + xz * mz
+                pn = px * nx + py * ny + pz * nz
+                d1 = sums[6] * up - sums[7] * xp
+                d2 = sums[7] * up - sums[8] * xp
+                d3 = sums[8] * up - sums[9] * xp
+                d4 = t2b * up - t2c * xp
+                along = -4.0 * i4 * (d1 * un - d2 * xn - t2b * pn) - 2.0 * i3 * (
+                    t2a * um - t2b * xm
+                )
+                aside = -4.0 * i4 * (d3 * xn - d2 * un + t2c * pn) - 2.0 * i3 * (
+                    t2c * xm - t2b * um
+                )
+                d5 = 4.0 * i4 * (t2b * un - t2c * xn)
+                d4 *= 4.0 * i4
+                tm = 2.0 * i3 * tb
+                result[13] += along * ux + aside * xx + d4 * nx + d5 * px + tm * mx
+                result[14] += along * uy + d4 * ny + d5 * py + tm * my
+                result[15] += along * uz + aside * xz + d4 * nz + d5 * pz + tm * mz

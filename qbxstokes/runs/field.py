@@ -104,7 +104,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         facts = work.write(writer)
         around = work.around(instant)
         disturbance = around.disturbance
-        velocity = around.rotation @ disturbance.velocity
+        velocity = around.rotation @ disturbance.body_velocity
         spin = around.rotation @ disturbance.angular_velocity
         # On the body, hence opposite to those on the fluid; without negative zeros.
         force, torque = (

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import INSIDE, SOURCES, FlowAround
+from qbxstokes.bie.exterior import INSIDE, SOURCES
+from qbxstokes.bie.field import FlowAround
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.store import Work, check_disk
@@ -296,9 +297,8 @@ class FieldWork:
         """The quantities of a piece of points."""
         section, target = self.section, self.targets[task.target]
         points = self._points(target, task.begin, task.end, task.instant)
-        with_stress = "stress" in section.quantities
         values = self.around(self.instants[task.instant]).evaluate(
-            points, section.tolerance, section.method, with_stress
+            points, section.quantities, section.tolerance, section.method
         )
         source = values["source"]
         found.counts += np.bincount(source + 1, minlength=len(found.counts))

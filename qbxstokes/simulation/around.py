@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import RowFormer, choose_scheme
+from qbxstokes.bie.exterior import resolving_grid
 from qbxstokes.bie.field import (
     Disturbance,
     FlowAround,
     mobility_disturbance,
     resistance_disturbance,
-    resolving_grid,
 )
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.case.running import Hydrodynamics

@@ -386,6 +386,7 @@ class Body:
         >>> np.round(field["velocity"][:, 0], 9) + 0.0  # 1 - 3/(4 r) - 1/(4 r^3) beside a sphere
         array([0.59375, 0.     ])
         """
+        from qbxstokes.bie.field import USUAL
         from qbxstokes.simulation.around import AroundBody, Instant
 
         x, q, _ = places(position, orientation)
@@ -397,7 +398,7 @@ class Body:
             v, omega = (np.zeros(3) if u is None else u for u in (v, omega))
         around = AroundBody(self.shape, flow, self.settings, tolerance)
         whole = around.at(Instant(t, x[0], q[0], v, omega))
-        return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), tolerance)
+        return whole.evaluate(np.reshape(np.asarray(points, float), (-1, 3)), USUAL, tolerance)
 
 
 def _settings(given: Mapping[str, Any]) -> Hydrodynamics:

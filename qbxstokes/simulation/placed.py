@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.motion.equations import Loads
 from qbxstokes.motion.layout import ORIENTATION, POSITION
-from qbxstokes.motion.stress import symmetric
 from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.simulation.stresses import SceneStress

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
-from qbxstokes.motion.stress import symmetric
+from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.quantities import MOTION, STRESS, of_event
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
 

@@ -69,10 +69,10 @@ class Solution:
         here = points[~inside]
         u = np.zeros((len(here), 3)) if flow is None else np.array(flow.velocity(here, t))
         p = np.zeros(len(here)) if flow is None else np.array(flow.pressure(here, t))
-        for c, sent in enumerate(self.flows):
-            table = problem.table_at(c, here, False)
-            u += problem.sent(c, sent, here, table)
-            p += table.pressure(sent) / problem.bodies[c].size
+        for c, (body, sent) in enumerate(zip(problem.bodies, self.flows, strict=True)):
+            own = problem.exterior(c, sent).evaluate(body.to_body(here))
+            u += own["velocity"] @ body.rotation.T
+            p += own["pressure"] / body.size
             if problem.wall is not None:
                 image, pressure = problem.reflected(c, sent, here)
                 u += image

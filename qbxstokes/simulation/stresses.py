@@ -16,8 +16,9 @@ from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.geometry.symmetric import components
 from qbxstokes.motion.layout import POSITION
-from qbxstokes.motion.stress import components, mean_strain, stresslets, torque_stresslets
+from qbxstokes.motion.stress import mean_strain, stresslets, torque_stresslets
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.simulation.hydrodynamics import (
     Workshop,

@@ -1,0 +1,217 @@
+"""Exterior spheroidal harmonics E_nm: recurrences, values on the surface, far field, tables.
+
+With the measure sin(theta) dtheta dphi (the weight of the support function) the Laplace single
+layer of a spheroid is diagonal in them (Hobson 1931, sec. 245 f.). See `exterior_kernel` for their
+definition and `exterior` for the Stokes flows that are made of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.geometry.shape import Revolution
+from qbxstokes.geometry.symmetric import PLACES
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """Recurrence coefficients and surface values of the harmonics E_nm, m <= n <= degree.
+
+    Arrays are (orders, degree + 1) with row m, column n; see `exterior_kernel`.
+    """
+
+    shape: Revolution
+    orders: int
+    degree: int
+
+    @cached_property
+    def ratio_of_axes(self) -> float:
+        """k of semi-axes (k, k, 1). Raises ValueError for a shape without confocal coordinates."""
+        axes = self.shape.semi_axes
+        if axes is None or axes[2] != 1.0:
+            raise ValueError(f"there are no exterior harmonics of a {self.shape}")
+        return axes[0]
+
+    @cached_property
+    def rise(self) -> Array:
+        """Factor of eta p_n in the recurrence of the orthonormal p_{n+1} (DLMF 14.10.3)."""
+        m, n = np.arange(self.orders)[:, None], np.arange(self.degree + 1)
+        squared = np.where(
+            n >= m, (2.0 * n + 1) * (2 * n + 3) / ((n + 1.0) ** 2 - m * m + (n < m) * 1e9), 0.0
+        )
+        return np.asarray(np.sqrt(squared))
+
+    @cached_property
+    def fall(self) -> Array:
+        """Factor of p_{n-1} in the same recurrence."""
+        m, n = np.arange(self.orders)[:, None], np.arange(self.degree + 1)
+        valid = n > m
+        nn = np.where(valid, n, m + 1)
+        squared = (2.0 * nn + 3) * (nn * nn - m * m) / ((2.0 * nn - 1) * ((nn + 1.0) ** 2 - m * m))
+        return np.where(valid, np.sqrt(squared), 0.0)
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """p_m^m (orders,): the constant sqrt((2m + 1)/2 / (2m)!) (2m - 1)!!."""
+        m = np.arange(1, self.orders)
+        return np.asarray(
+            np.sqrt(0.5 * np.cumprod(np.concatenate([[1.0], (2.0 * m + 1) / (2.0 * m)])))
+        )
+
+    @cached_property
+    def ratio(self) -> Array:
+        """Q_n^(m) / Q_{n-1}^(m) on the surface (1 where n < m)."""
+        from qbxstokes.qbx.exterior_kernel import all_ratios
+
+        k = self.ratio_of_axes
+        table = np.ones((self.orders, self.degree + 2))
+        all_ratios(self.orders, self.degree, 1.0, k, (1.0 - k) * (1.0 + k), table)
+        return table[:, : self.degree + 1]
+
+    @cached_property
+    def gain(self) -> Array:
+        """Laplace single layer of the density E_nm on the surface, in units of E_nm.
+
+        4 pi (-1)^m (n - m)!/(n + m)! k^(2m) P_n^(m)(1) Q_n^(m)(1), built from ratios so that
+        nothing overflows.
+        """
+        k = self.ratio_of_axes
+        e2 = (1.0 - k) * (1.0 + k)
+        gain = np.zeros((self.orders, self.degree + 1))
+        for m in range(min(self.orders, self.degree + 1)):
+            # n = m: P_m^(m) = (2m - 1)!!, Q_{m-1}^(m) = (-1)^m 2^(m-1) (m - 1)! / k^(2m).
+            value = self.ratio[m, m] / max(2 * m, 1)
+            p_ratio = 1.0
+            for n in range(m, self.degree + 1):
+                gain[m, n] = 4.0 * np.pi * value
+                # P_{n+1}^(m) / P_n^(m) by the recurrence that Q obeys as well, run forwards.
+                previous = (n + m) * e2 / p_ratio if n > m else 0.0
+                p_ratio = ((2 * n + 1) - previous) / (n - m + 1)
+                if n < self.degree:
+                    value *= (n + 1 - m) / (n + 1 + m) * p_ratio * self.ratio[m, n + 1]
+        return gain
+
+    def polar(self, theta: Array) -> Array:
+        """sin^m p_n^m at theta: orthonormal in cos(theta), shape (orders, degree + 1, n_theta)."""
+        s, c = np.sin(theta), np.cos(theta)
+        values = np.zeros((self.orders, self.degree + 1, theta.size))
+        for m in range(min(self.orders, self.degree + 1)):
+            last = np.zeros_like(c)
+            now = self.diagonal[m] * s**m
+            for n in range(m, self.degree + 1):
+                values[m, n] = now
+                last, now = now, self.rise[m, n] * c * now - self.fall[m, n] * last
+        return values
+
+    def surface(self, theta: Array) -> tuple[Array, Array, Array]:
+        """E_nm at phi = 0 on the surface and its derivatives in rho and z.
+
+        Each of shape (orders, degree + 1, n_theta).
+        """
+        k = self.ratio_of_axes
+        s, c = np.sin(theta), np.cos(theta)
+        values = self.polar(theta)
+        m, n = np.arange(self.orders)[:, None, None], np.arange(self.degree + 1)[:, None]
+        # Along gamma at fixed theta, where (rho / k)^m grows as alpha^m.
+        d_gamma = values * (n - np.maximum(n + m, 1) / self.ratio[:, :, None]) / (k * k)
+        factor = np.sqrt(np.maximum((2.0 * n + 1) / np.maximum(2 * n - 1, 1) * (n * n - m * m), 0))
+        lower = np.concatenate([np.zeros_like(values[:, :1]), values[:, :-1]], axis=1)
+        d_theta = (n * c * values - factor * lower) / s  # DLMF 14.10.5, normalised
+        # z = gamma cos(theta), rho = alpha sin(theta).
+        delta = s * s + k * k * c * c
+        return (
+            values,
+            (d_gamma * (k * s) + d_theta * (k * c)) / delta,
+            (d_gamma * (k * k * c) - d_theta * s) / delta,
+        )
+
+    @cached_property
+    def _moments(self) -> tuple[float, Array]:
+        """Monopole (1/r) and dipole (x/r^3, by component) of the lowest harmonics far away."""
+        k, q0 = self.ratio_of_axes, self.ratio[0, 0]
+        across = self.diagonal[1] * 2.0 * k / (3.0 * self.ratio[1, 1])
+        along = np.sqrt(1.5) / (3.0 * q0 * self.ratio[0, 1])
+        return float(np.sqrt(0.5) / q0), np.array([across, across, along])
+
+    def first_moment(self, c: ComplexArray) -> Array:
+        """D (3, 3) = int y_i mu_j of the single layer mu whose flow has coefficients c."""
+        across, _, along = self._moments[1]
+        low = c[:3, 1, 1]
+        rows = [across * low.real, -across * low.imag, along * c[:3, 0, 1].real]
+        return np.asarray(8.0 * np.pi * np.stack(rows))
+
+    def force_torque(self, c: ComplexArray) -> Array:
+        """Force and torque (6,) on the fluid of the flow with coefficients c, body frame."""
+        d = self.first_moment(c)
+        force = 8.0 * np.pi * self._moments[0] * c[:3, 0, 0].real
+        return np.concatenate([force, [d[1, 2] - d[2, 1], d[2, 0] - d[0, 2], d[0, 1] - d[1, 0]]])
+
+    def table(self, points: Array, degree: int, second: bool) -> Table:
+        """The harmonics up to a degree at points (P, 3) of the body frame; second derivatives."""
+        from qbxstokes.qbx.exterior_basis import tabulate
+
+        orders = min(degree + 1, self.orders)
+        rows, columns = _triangle(orders, degree)
+        values = np.empty((10 if second else 4, len(points), 2 * len(rows)))
+        tabulate(
+            np.ascontiguousarray(points),
+            self.ratio_of_axes,
+            degree,
+            orders,
+            1.0 / self.ratio,
+            self.rise,
+            self.fall,
+            self.diagonal,
+            second,
+            values,
+        )
+        return Table(points, values, rows, columns)
+
+
+@lru_cache(maxsize=256)
+def _triangle(orders: int, degree: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    m, n = np.meshgrid(np.arange(orders), np.arange(degree + 1), indexing="ij")
+    return m[n >= m], n[n >= m]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Values of the harmonics at points (P, 3), for any number of flows; see `tabulate`."""
+
+    points: Array
+    values: Array
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+
+    def _sums(self, c: ComplexArray) -> Array:
+        flat = np.ascontiguousarray(c[:, self.rows, self.columns].T)
+        real = np.stack([flat.real, flat.imag], axis=1).reshape(-1, 4)
+        n, count = self.values.shape[:2]
+        product: Array = self.values.reshape(n * count, -1) @ real
+        return product.reshape(n, count, 4)
+
+    def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
+        """Velocity and pressure, with second derivatives all of WHAT but the stress."""
+        s = self._sums(c)
+        first = s[1:4]
+        found = {
+            "velocity": s[0, :, :3]
+            + first[:, :, 3].T
+            - np.einsum("ipj,pj->pi", first[:, :, :3], self.points),
+            "pressure": -2.0 * np.einsum("ipi->p", first[:, :, :3]),
+        }
+        if second:
+            twice = s[4:][PLACES]  # (3, 3, P, 4)
+            gradient = np.einsum("jpi->pij", first[:, :, :3]) + np.moveaxis(twice[..., 3], 2, 0)
+            gradient -= np.einsum("ipj->pij", first[:, :, :3])
+            gradient -= np.einsum("ijpl,pl->pij", twice[..., :3], self.points)
+            found["gradient"] = gradient
+            found["pressure_gradient"] = -2.0 * np.einsum("ijpj->pi", twice[..., :3])
+        return found
