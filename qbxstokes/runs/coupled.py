@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import components
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.motion.stress import components
 from qbxstokes.quantities import COUPLED
 from qbxstokes.runs.parallel import agree, on_root
 from qbxstokes.simulation.coupled import CoupledSimulation
