@@ -22,7 +22,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.motion.stress import PAIRS, components, stresslets, symmetric
+from qbxstokes.geometry.symmetric import PAIRS, components, symmetric
+from qbxstokes.motion.stress import stresslets
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History
 from qbxstokes.suspension.particle import Particle
