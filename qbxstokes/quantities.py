@@ -144,9 +144,26 @@ drift  | \Delta x  | c   | displacement since the last half-turn but one | vecto
 """)
 
 
-def of_event(name: str) -> dict[str, Quantity]:
-    """What is recorded of the events of one name."""
+# Of an event among bodies that share a fluid.
+MEETING = _table("""
+time     | t | tau | instant of the event
+body     |   | 1   | number of the body, from 1
+other    |   | 1   | number of the other body; 0: the wall, or none
+gap      | g | c   | least gap of the scene
+position | x | c   | centre of the body | vector
+""")
+
+
+def of_event(name: str, coupled: bool = False) -> dict[str, Quantity]:
+    """What is recorded of the events of one name; coupled: among bodies that share a fluid."""
+    if coupled:
+        return MEETING
     return HALF_TURN if name == "half_turns" else EVENT
+
+
+def of_bodies(quantity: Quantity, count: int) -> Quantity:
+    """A quantity of one body as that of several, (body, ...)."""
+    return replace(quantity, shape=(count, *quantity.shape))
 
 
 # Of the flow around a body: what may be asked for, what every point has, what its surface has.

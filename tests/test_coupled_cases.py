@@ -75,7 +75,7 @@ def test_one_body_by_a_wall_has_no_axis_of_bodies() -> None:
     [
         ({"constraints": {"rotation": "locked"}}, "constraints: has no meaning"),
         ({"hydrodynamics": {"n_theta": 8}}, r"hydrodynamics.n_theta: has no meaning with a wall"),
-        ({"bodies": [{"aspect_ratio": 1, "stokes_number": 1}]}, r"stokes_number: is not 0"),
+        ({"bodies": [{**PAIR["bodies"][0], "stokes_number": 1}]}, r"bodies: hold a stokes_number"),
         ({"bodies": [{"aspect_ratio": 1, "siz": 2}]}, r"bodies\[0\].siz: .*did you mean size"),
         ({"surroundings": WALL, "flow": {"type": "shear"}}, "flow: slips on the wall"),
         ({"surroundings": {"type": "unbounded", "point": [0, 0, 0]}}, "no meaning for type"),
@@ -90,3 +90,58 @@ def test_bodies_that_touch_are_refused() -> None:
     bodies = [PAIR["bodies"][0], {**PAIR["bodies"][1], "start": {"position": [0.9, 0, 0]}}]
     with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -0\.1"):
         qs.run({**PAIR, "bodies": bodies})
+
+
+FALL: dict[str, Any] = {
+    "bodies": [
+        {"aspect_ratio": 1.0, "start": {"position": [0, 0, 3]}, "forces": {"force": [0, 0, -9]}},
+        {"aspect_ratio": 1.0, "size": 0.5, "start": {"position": [3, 0, 2]}},
+    ],
+    "forces": {"force": [0, 0, "-3*cos(t)"]},
+    "surroundings": WALL,
+    "time": {"end": 1.5, "samples": 4, "tolerance": 1e-3},
+    "hydrodynamics": {"tolerance": 1e-3},
+}
+
+
+def test_a_motion_has_the_bodies_behind_the_time_and_is_that_of_python() -> None:
+    found = qs.run(FALL)
+    assert found.position.shape == found.velocity.shape == (4, 2, 3)
+    assert found.orientation.shape == (4, 2, 4)
+    assert np.allclose(found.force[:, 0], [0, 0, 9])
+    assert np.allclose(found.force[:, 1, 2], 3 * np.cos(found.time))
+    assert found.summary["events"]["nearest"]["who"] == "body 2 and the wall"
+    assert found.summary["velocity_errors"]["velocity"] < 1e-3
+    scene = qs.from_case(FALL)
+    motion = scene.integrate(np.linspace(0.0, 1.5, 4))
+    assert np.array_equal(motion.position, found.position)
+    x = [[0, 0, 3], [3, 0, 2]]
+    force = [[0, 0, -9], [0, 0, -3]]
+    suspension = qs.Suspension([qs.Body(1.0), qs.Body(1.0, size=0.5)], qs.Wall([0, 0, 1]))
+    u, _ = suspension.free_motion(None, x, force=force)
+    assert np.allclose(found.velocity[0], u, atol=1e-3)
+
+
+def test_a_fall_ends_at_the_clearance_of_the_case() -> None:
+    case = {**FALL, "events": {"clearance": 0.8, "turning_points": ["x3"]}}
+    found = qs.run({**case, "time": {"end": 9.0, "samples": 4, "tolerance": 1e-3}})
+    events = found.summary["events"]
+    assert events["ended_by"] == "clearance"
+    assert found.summary["end"] < 9.0
+    assert found.time[-1] == found.summary["end"]
+    assert found.position[-1, :, 2].min() > 0.8
+    assert events["counts"]["clearance"] == 1
+
+
+def test_inertia_follows_the_drag() -> None:
+    # A sphere far from the wall takes up its velocity with the rate 6 pi/(St 4 pi/3).
+    body = qs.Body(1.0, stokes_number=2.0)
+    still = {"velocity": [0.0, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 0.0]}
+    load = qs.Loads(force=[[0.0, 0.0, -6.0 * np.pi]])
+    scene = qs.Simulation(
+        [body], None, qs.Wall([0, 0, 1], [0, 0, -1e5]), loads=load, tolerance=1e-6, **still
+    )
+    times = np.array([0.0, 0.3, 1.0])
+    motion = scene.integrate(times)
+    rate = 4.5 / 2.0
+    assert np.allclose(motion.velocity[:, 0, 2], np.exp(-rate * times) - 1.0, atol=3e-5)

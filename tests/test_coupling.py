@@ -181,7 +181,7 @@ def test_two_equal_spheres_fall_side_by_side_and_reversed_motion_returns() -> No
     speed = np.linalg.solve(across, [1.0, 0.0, 1.0, 0.0])[0] * 6 * np.pi
     assert down.position[-1, 0, 2] == pytest.approx(-speed, rel=1e-5)
     back = pair.integrate(
-        None, [0.0, 1.0], down.position[-1], down.quaternion[-1], force=[0.0, 0.0, 6 * np.pi]
+        None, [0.0, 1.0], down.position[-1], down.orientation[-1], force=[0.0, 0.0, 6 * np.pi]
     )
     assert np.allclose(back.position[-1], x, atol=1e-7)
 
@@ -194,11 +194,12 @@ def test_a_motion_ends_at_the_wall_by_name() -> None:
     assert fall.ended_by == "clearance"
     assert "body 1 and the wall" in fall.message
     assert fall.gap[-1] == pytest.approx(0.6, abs=1e-6)
+    assert fall.events["clearance"]["gap"] == pytest.approx(0.6, abs=1e-6)
 
 
 def test_what_a_suspension_cannot_do_is_refused() -> None:
-    with pytest.raises(SceneError, match="stokes_number"):
-        qs.Suspension([qs.Body(0.5, stokes_number=1.0)])
+    with pytest.raises(SceneError, match="partly without inertia"):
+        qs.Simulation([qs.Body(0.5, stokes_number=1.0), qs.Body(0.5)], SHEAR, position=ORIGIN * 2)
     big = qs.Body(0.5, size=2.0)
     for ask in (lambda: big.resistance, lambda: big.stress, lambda: big.free_motion(SHEAR, ORIGIN)):
         with pytest.raises(SceneError, match="size is 2"):

@@ -125,6 +125,11 @@ def _pair(body: Placed, other: Placed) -> gaps.Gap:
     )
 
 
+def least_rate(tolerance: float) -> float:
+    """The rate of decay of a gap below which MOST_NODES do not serve a relative error."""
+    return math.log(1.0 / tolerance) / (RATE * (MOST_NODES - 1))
+
+
 def nodes_for(rate: float, tolerance: float) -> int:
     """Polar nodes for the rate of decay of a gap (see `gaps.Gap`) and a relative error."""
     if rate == np.inf:
@@ -346,10 +351,15 @@ def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
 
 
 def choose_nodes(
-    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, least: int = LEAST_NODES
+    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, clipped: bool = False
 ) -> list[int]:
-    """Polar nodes of each body. Raises ContactError where MOST_NODES do not suffice."""
-    found = [max(least, nodes_for(rate, tolerance)) for rate in check_apart(bodies, wall)]
+    """Polar nodes of each body. Raises ContactError where MOST_NODES do not suffice.
+
+    clipped: MOST_NODES serve then, as well as they can.
+    """
+    found = [nodes_for(rate, tolerance) for rate in check_apart(bodies, wall)]
+    if clipped:
+        return [min(count, MOST_NODES) for count in found]
     if max(found) > MOST_NODES:
         gap, (b, c), _ = closest(bodies, wall)
         raise ContactError(

@@ -140,12 +140,17 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     """The data of a coupled scene with its own defaults; raises Problem for what it cannot have."""
     data = dict(data)
     if data.get("bodies"):
+        if task == "body" and any(
+            b.get("stokes_number") for b in data["bodies"] if type(b) is dict
+        ):
+            raise Problem("hold a stokes_number", "none: nothing moves", ("bodies",))
         for name in ("body", "start"):
             if data.get(name):
                 raise Problem("has no meaning beside bodies", "give it in bodies", (name,))
-    if task != "body":
-        wrong = f"is {task}, which a wall and several bodies do not have yet"
-        raise Problem(wrong, "task: body; motion by qs.Suspension(...).integrate", ("task",))
+    time = data.get("time")
+    if isinstance(time, dict) and time.get("periods") is not None:
+        right = "give time.end: bodies that feel each other or a wall have no period"
+        raise Problem("has no meaning with a wall or several bodies", right, ("time", "periods"))
     for name, right in _FOREIGN.items():
         if data.get(name):
             raise Problem("has no meaning with a wall or several bodies", right, (name,))
@@ -169,15 +174,20 @@ def check_members(members: Sequence[BodyEntry], forces: Forces, listed: bool) ->
     for index, body in enumerate(members):
         with at(*(("bodies", index) if listed else ())):
             own = () if listed else ("body",)
-            if body.stokes_number:
-                wrong, right = "is not 0", "bodies by a wall, or several, move without inertia"
+            if bool(body.stokes_number) != bool(members[0].stokes_number):
+                wrong, right = "mixes bodies with and without inertia", "all of them, or none"
                 raise Problem(wrong, right, (*own, "stokes_number"))
+            if body.inertia != "both":
+                raise Problem("is not both", "both, beside others or a wall", (*own, "inertia"))
             for name in ("velocity", "angular_velocity"):
-                if getattr(body.start, name) != WITH_FLOW:
+                given = getattr(body.start, name) != WITH_FLOW
+                if given != (getattr(members[0].start, name) != WITH_FLOW):
+                    raise Problem("is not given of all", "of all bodies, or none", ("start", name))
+                if given and not body.stokes_number:
                     wrong = "has no meaning for a massless body (stokes_number: 0)"
                     raise Problem(wrong, "leave it out", ("start", name))
             gravity = (body.forces or forces).gravity
-            if gravity is not None and gravity.number is None:
+            if gravity is not None and gravity.number is None and not body.stokes_number:
                 right = "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight"
                 path = ("forces", "gravity", "acceleration")
                 raise Problem("needs a stokes_number > 0", right, path)

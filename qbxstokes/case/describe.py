@@ -108,7 +108,13 @@ def json_schema() -> dict[str, Any]:
             known = flow.setdefault(key, {"description": "key of"})
             known["description"] += f" {name}" if known["description"] == "key of" else f", {name}"
     schema = _section_schema(Case)
-    alone = {"properties": {"task": {"const": "body"}}, "required": ["task"]}
+    alone = {
+        "anyOf": [
+            {"properties": {"task": {"const": "body"}}, "required": ["task"]},
+            {"required": ["bodies"]},
+            {"required": ["surroundings"]},
+        ]
+    }
     some_body = {"anyOf": [{"required": ["body"]}, {"required": ["bodies"]}]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

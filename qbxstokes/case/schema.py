@@ -111,7 +111,7 @@ class Case(Section, **_MOVED):
         [{"aspect_ratio": 0.5}, {"aspect_ratio": 1.0, "size": 2.0}],
     )
     surroundings: Surroundings | None = key("what bounds the fluid; unset: nothing", None)
-    flow: FlowSection | None = key("the background flow (task: body: may be left out)")
+    flow: FlowSection | None = key("the background flow (unset: none, with task: body or bodies)")
     start: Start = key("state at time 0", Start())
     forces: Forces = key("external force and torque, gravity", Forces())
     constraints: Constraints = key("parts of the motion that are held or prescribed", Constraints())
@@ -167,7 +167,7 @@ class Case(Section, **_MOVED):
             data = prepared(data, task)
         if task == "rheology":
             data = {**data, "rheology": data.get("rheology") or {}}
-        return {**data, "flow": data.get("flow") or None} if task == "body" else data
+        return {**data, "flow": data.get("flow") or None} if task == "body" or together else data
 
     def _check(self) -> None:
         if self.body is None and self.bodies is None:
@@ -181,7 +181,7 @@ class Case(Section, **_MOVED):
             if self.field.tracers is not None and self.field.tracers.duration is None:
                 right, path = "task: field needs the end of the paths", ("tracers", "duration")
                 raise Problem("is missing", right, ("field", *path))
-        if self.flow is None:
+        if self.flow is None and not self.coupled:
             wrong, right = "has no meaning without a flow", "leave it out, or give one"
             if "start" in self.given_keys:
                 raise Problem(wrong, right, ("start",))

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from petsc4py import PETSc
 
-from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
@@ -187,7 +187,7 @@ class Run:
                 t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
                 if observe is not None:
                     halt = observe(self._inside.observed(before, start, t))
-            except (FlowError, ConvergenceError) as error:
+            except (FlowError, ContactError, ConvergenceError) as error:
                 if observe is None:
                     raise
                 self._end_by(error)
@@ -279,7 +279,7 @@ class Run:
         if ts.getStepNumber() >= self._most_steps:
             raise self._failed(ADVICE, "the largest number of steps (-ts_max_steps) is taken")
 
-    def _failed(self, advice: str, what: str) -> ConvergenceError | FlowError:
+    def _failed(self, advice: str, what: str) -> ConvergenceError | FlowError | ContactError:
         """The error for a step that cannot be completed, with time and place."""
         ts, refusal = self.ts, self.counter.refusal
         if isinstance(refusal, FlowFunctionError):
@@ -333,13 +333,13 @@ class Run:
             return
         try:
             self._build()
-        except (FlowError, ConvergenceError) as error:
+        except (FlowError, ContactError, ConvergenceError) as error:
             self._end_by(error)
             self.stopped, self.times = True, self.times[:index]
 
-    def _end_by(self, error: FlowError | ConvergenceError) -> None:
+    def _end_by(self, error: FlowError | ContactError | ConvergenceError) -> None:
         """Note what lets the run go no further."""
-        if isinstance(error, FlowError) and not isinstance(error, FlowFunctionError):
+        if not isinstance(error, (ConvergenceError, FlowFunctionError)):
             self.refusal = str(error)
         else:
             self.failure = str(error)

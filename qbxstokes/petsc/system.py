@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
@@ -36,7 +36,8 @@ class Counter:
     evaluations: int = 0
     jacobians: int = 0
     failure: BaseException | None = field(default=None)
-    refusal: FlowError | None = None  # what the flow said of the last stage it had no value for
+    # what the flow, or a contact, said of the last stage that the rate had no value for
+    refusal: FlowError | ContactError | None = None
     astray: bool = False  # a stage of the present step was where the rate has no value
 
 
@@ -178,7 +179,7 @@ class System:
                 except (ArithmeticError, ValueError):  # a state beyond all bounds, or no rates
                     counter.refusal, counter.astray = None, True
                     rate.set(0.0)  # whatever comes of it is taken back
-                except FlowError as refusal:
+                except (FlowError, ContactError) as refusal:
                     counter.refusal, counter.astray = refusal, True
                     rate.set(0.0)
                 except BaseException as failure:
@@ -200,6 +201,10 @@ class System:
                 else:  # in place: a copy would cost as much as a stage's vector operation
                     function(t, y, rate.getArray().reshape(out.shape))
             except BaseException as failure:
+                if self.layout.bodies > 1 and isinstance(failure, (FlowError, ContactError)):
+                    counter.refusal, counter.astray = failure, True
+                    rate.set(0.0)  # whatever comes of it is taken back
+                    return
                 counter.failure = failure
                 raise
 

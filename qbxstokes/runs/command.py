@@ -160,7 +160,10 @@ def carry_out(job: Job) -> int:
     run: Callable[[Job], dict[str, Any]]
     with job.clock.part("import"):
         if loaded.case.coupled:
-            from qbxstokes.runs.coupled import run_coupled as run
+            if loaded.case.task == "motion":
+                from qbxstokes.runs.coupled_motion import run_motion as run
+            else:
+                from qbxstokes.runs.coupled import run_coupled as run
         elif loaded.case.task == "field":
             from qbxstokes.runs.field import run_field as run
         elif loaded.case.task == "body":

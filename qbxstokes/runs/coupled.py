@@ -75,7 +75,7 @@ def _computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any
     errors = {"resistance": error}
     gap, who = scene.closest(scene.places)
     summary: dict[str, Any] = {"gap": gap, "nearest": who}
-    free = scene.solved(0.0, x, q)
+    free = scene.solved("free", 0.0, x, q)
     if scene.flow is not None or scene.loads is not None:
         arrays |= {"free_velocity": free.velocity, "free_angular_velocity": free.angular_velocity}
         arrays["stresslet"] = components(free.stresslet)

@@ -7,6 +7,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.report import (
@@ -66,7 +68,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
         "Solved": _solved(summary),
         "Found": _found(summary),
         "Skipped": listed(plan.skips),
-        "Estimated errors": _errors(summary["error_estimates"]),
+        "Estimated errors": _errors(summary.get("error_estimates") or summary["velocity_errors"]),
         "Times": [("total", duration(times["total"])), ("parts", spent_text(times))],
         "Result": files(loaded, summary),
     }
@@ -74,6 +76,18 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
 
 
 def _solved(summary: Mapping[str, Any]) -> Rows:
+    if "integration" in summary:
+        steps = summary["integration"]
+        if summary["resumed_at"] is not None:
+            yield "resumed", f"from the checkpoint at t = {quantity(summary['resumed_at'])}"
+        yield (
+            "motion",
+            f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} "
+            f"rejected, {steps['rhs_evaluations']} right-hand sides",
+        )
+        solves = counted(summary["solves"], "solve")
+        yield "GMRES", f"{solves}, {counted(summary['iterations'], 'iteration')} in all"
+        return
     nodes = summary["nodes"]
     least, most = min(nodes), max(nodes)
     yield "grids", f"{least if least == most else f'{least} to {most}'} polar nodes"
@@ -83,6 +97,8 @@ def _solved(summary: Mapping[str, Any]) -> Rows:
 
 
 def _found(summary: Mapping[str, Any]) -> Rows:
+    if "events" in summary:
+        yield from _seen(summary)
     names = "free_velocity", "free_angular_velocity", "held_force", "held_torque"
     for name in names:
         values = summary.get(name)
@@ -93,6 +109,23 @@ def _found(summary: Mapping[str, Any]) -> Rows:
             label = name.replace("_", " ") if number == 1 else ""
             who = f"body {number}: " if values.ndim == 2 else ""
             yield label or " ", f"{who}({vector(row)})"
+
+
+def _seen(summary: Mapping[str, Any]) -> Rows:
+    """Where the bodies are at the end, and what happened on the way."""
+    found = summary["events"]
+    if found["counts"]:
+        counts = (f"{count} {name.replace('_', ' ')}" for name, count in found["counts"].items())
+        yield "events", ", ".join(counts)
+    if "nearest" in found:
+        near = found["nearest"]
+        yield "least gap", f"{near['gap']:.6g}: {near['who']}, at t = {quantity(near['time'])}"
+    if "ended_by" in found:
+        text = f"at t = {quantity(summary['end'])}, {found['ended_by']}: {found['ended_because']}"
+        yield "ended", text
+    place = summary.get("final_position")
+    for number, row in enumerate([] if place is None else np.atleast_2d(place)[:_MANY], start=1):
+        yield "at the end" if number == 1 else " ", f"({vector(row)})"
 
 
 def _errors(errors: Mapping[str, float]) -> Rows:

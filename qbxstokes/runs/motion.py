@@ -90,7 +90,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
     if not trajectory.finished:
         recording.save()
         if not recording.saved:
-            raise _interrupted(recording, {}, trajectory.reached, interruption.signal)
+            raise interrupted(recording, {}, trajectory.reached, interruption.signal)
     if case.field is not None:
         recording.save()  # a field may take longer than the motion
     summary = _facts(job, assembled, trajectory, events, recording)
@@ -105,7 +105,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
         summary["field"]["files"] += draw_pictures(job.loaded, clock, Path(summary["result"]))
     recording.close(remove=trajectory.finished)
     if not trajectory.finished:
-        raise _interrupted(recording, summary, trajectory.reached, interruption.signal)
+        raise interrupted(recording, summary, trajectory.reached, interruption.signal)
     if trajectory.failure:
         raise ConvergenceError(f"{trajectory.failure}; {summary['result']} holds the motion so far")
     return summary
@@ -191,7 +191,7 @@ def relaxation_times(equations: Any) -> dict[str, float]:
     return dict(zip(names, times[:, 0].tolist(), strict=True))
 
 
-def _interrupted(
+def interrupted(
     recording: Recording, summary: Mapping[str, Any], reached: float, number: int
 ) -> Interrupted:
     """What is said of a run that a signal stopped when its steps had come to t = reached."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,18 @@ from numpy.typing import NDArray
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
-from qbxstokes.quantities import MOTION, RECORDABLE, STRESS
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, Quantity, of_bodies, of_event
 from qbxstokes.runs.field_targets import targets_of
-from qbxstokes.simulation.from_case import pointed, simulation_of, start_of, times_of
+from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
+from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.coupled import CoupledSimulation
 
 Array = NDArray[np.float64]
 
+_COUPLED_SAMPLES = 51  # of bodies that share a fluid, where the case does not say
 # Of a motion alone: the compiled blocks of a sweep, general as they are, would gain nothing.
 NO_AXIS = "axis of the body: a sphere moves alike however it lies"
 NO_ZEROS = "terms of the equations that are zero in this flow, for this body and its loads"
@@ -54,8 +60,21 @@ class MotionPlan(Plan):
     @property
     def bytes_on_disk(self) -> int:
         """Size of the samples in the result file."""
-        numbers = 1 + sum(RECORDABLE[name].size for name in self.quantities)
+        numbers = 1 + sum(self.about(name).size for name in self.quantities)
         return 8 * numbers * len(self.times)
+
+    @property
+    def cuts(self) -> tuple[int, int]:
+        """Steps and samples between the cuts at which the run can be resumed, at most."""
+        return CUT_STEPS[self.simulation.kind], CUT_SAMPLES
+
+    def about(self, name: str) -> Quantity:
+        """What a recorded quantity is."""
+        return RECORDABLE[name]
+
+    def about_event(self, name: str) -> dict[str, Quantity]:
+        """What is recorded of the events of one name."""
+        return of_event(name)
 
 
 def plan_of(loaded: LoadedCase) -> Plan:
@@ -172,18 +191,61 @@ def plan_body(loaded: LoadedCase) -> Plan:
     return Plan(scene, tuple(needs), tuple(skips))
 
 
+@dataclass(frozen=True)
+class CoupledPlan(MotionPlan):
+    """The work of a motion of bodies that share a fluid."""
+
+    simulation: CoupledSimulation
+
+    @property
+    def cuts(self) -> tuple[int, int]:
+        """A few steps, of a second or more."""
+        return 5, 20
+
+    def about(self, name: str) -> Quantity:
+        """With an axis of bodies where there are several."""
+        about = RECORDABLE[name]
+        return of_bodies(about, len(self.simulation)) if self.simulation.several else about
+
+    def about_event(self, name: str) -> dict[str, Quantity]:
+        """What is recorded of the events of one name."""
+        return of_event(name, coupled=True)
+
+
 def plan_coupled(loaded: LoadedCase) -> Plan:
     """Plan with several bodies or a wall; raises CaseError for what the schema cannot see."""
     from qbxstokes.simulation.from_bodies import coupled_of
 
+    case = loaded.case
     with pointed(loaded):
         scene = coupled_of(loaded)
         scene.check()
     nodes = scene.suspension.grids(scene.places, scene.flow)
     grids = ", ".join(map(str, nodes[:8])) + (" ..." if len(nodes) > 8 else "")
     needs = [f"grids that follow the gaps: {grids} polar nodes, twice as many azimuthal ones"]
-    needs.append(f"resistance: {6 * len(nodes)} solves, and as many on coarser grids: the error")
-    return Plan(scene, tuple(needs), ("unknowns on the wall: its answer to a flow is known",))
+    skips = ("unknowns on the wall: its answer to a flow is known",) if case.wall else ()
+    if case.task == "body":
+        needs.append(
+            f"resistance: {6 * len(nodes)} solves, and as many on coarser grids: the error"
+        )
+        return Plan(scene, tuple(needs), skips)
+    needs.append("a solve for each right-hand side and each sample")
+    assert case.time is not None
+    times = np.linspace(0.0, end_of(loaded), case.time.samples or _COUPLED_SAMPLES)
+    if case.time.at is not None:
+        times = np.array(case.time.at)
+    quantities = tuple(n for n in MOTION if n != "orbit_constant" or _sheared(scene))
+    if case.output.fields is not None:
+        quantities = tuple(dict.fromkeys(case.output.fields))
+        for index, name in enumerate(quantities):
+            if name not in (*MOTION, "stresslet"):
+                wrong, right = f"{name} is not there for several bodies or a wall", "stresslet"
+                raise loaded.error(("output", "fields", index), wrong, right)
+    return CoupledPlan(scene, tuple(needs), skips, times, quantities)
+
+
+def _sheared(scene: CoupledSimulation) -> bool:
+    return scene.flow is not None and scene.frame.simple
 
 
 def plan_rheology(loaded: LoadedCase) -> Plan:

@@ -18,12 +18,10 @@ from qbxstokes.errors import CaseError
 from qbxstokes.io.names import told_by
 from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.motion.events import Events
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, TIME, Quantity, of_event
+from qbxstokes.quantities import MOTION, STRESS, TIME, Quantity
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.runs.target import finished_result, identity_of, result_path
-from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS, Assembled
 from qbxstokes.simulation.compare import orbit_drift
 from qbxstokes.simulation.watch import split_columns
 
@@ -113,7 +111,7 @@ class Recording:
 
     @property
     def _columns(self) -> dict[str, Quantity]:
-        return {"time": TIME, **{name: RECORDABLE[name] for name in self._names}}
+        return {"time": TIME, **{name: self._plan.about(name) for name in self._names}}
 
     @property
     def target(self) -> Path:
@@ -130,16 +128,16 @@ class Recording:
     @property
     def limits(self) -> dict[str, Any]:
         """Where the integrator cuts the run, independent of the clock."""
-        steps = CUT_STEPS[self._plan.simulation.kind]
+        steps, samples = self._plan.cuts
         span = math.inf
         if self._interval.unit == "steps":
             steps = min(steps, int(self._interval.number))
         elif self._interval.unit == "periods":
             span = self._interval.number * (self._plan.period or 0.0)
-        return {"chunk_steps": steps, "chunk_samples": CUT_SAMPLES, "chunk_time": span}
+        return {"chunk_steps": steps, "chunk_samples": samples, "chunk_time": span}
 
-    def receiver(self, assembled: Assembled, events: Events) -> Any:
-        """The function that takes the integrator's chunks."""
+    def receiver(self, assembled: Any, events: Any) -> Any:
+        """The function that takes the integrator's chunks: the scene's, with what watches it."""
         if self._events is not None:
             events.restore(self._events)
 
@@ -219,11 +217,12 @@ class Recording:
         first, seen, drift = None, 0, 0.0
         for name, rows in _joined(self._rows(), _PIECE):
             if name != SAMPLES:
-                columns = of_event(name)
+                columns = self._plan.about_event(name)
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
             data = split_columns(rows, self._columns)
-            writer.append({"time": data["time"], **{key: data[key] for key in quantities}})
+            stored = {"time": data["time"], **{key: data[key] for key in quantities}}
+            writer.append(stored, self._columns)
             constant = data["orbit_constant"]
             first = constant[0] if first is None else first
             drift = max(drift, float(orbit_drift(constant, first)))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from qbxstokes.simulation.wall import Wall
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.solved import Solution
+    from qbxstokes.simulation.together import CoupledMotion, Together
 
 Array = NDArray[np.float64]
 
@@ -31,7 +33,8 @@ class CoupledSimulation(Simulation):
     position (N, 3), orientation (N, 3) or (N, 4), loads (N, 3) each; of a single body that is given
     as itself and not in a list they may be without the first axis. resolution: relative error of
     the velocities to aim at; that of the motion where None. comm: of PETSc, over whose ranks the
-    bodies are dealt. The rest as in `Simulation`.
+    bodies are dealt. herald: told of every problem before it is solved, for other ranks to join in.
+    The rest as in `Simulation`.
     """
 
     def __init__(
@@ -42,7 +45,10 @@ class CoupledSimulation(Simulation):
         *,
         position: ArrayLike = ORIGIN,
         orientation: ArrayLike = UPRIGHT,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
         loads: Loads | None = None,
+        constraints: None = None,
         events: Mapping[str, Any] | EventSettings | None = None,
         tolerance: float = 1e-6,
         resolution: float | None = None,
@@ -64,6 +70,22 @@ class CoupledSimulation(Simulation):
         q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
         self.quaternion = np.array(np.broadcast_to(q, (len(members), 4)))
         self.loads, self.events = loads, event_settings(events)
+        self.constraints = None
+        if constraints is not None:
+            raise SceneError("constraints", "are given", "None: bodies of one fluid are free")
+        self.stokes_number = np.array([float(body.stokes_number) for body in members])
+        if np.any(self.stokes_number) and not np.all(self.stokes_number):
+            raise SceneError(
+                "bodies", "are partly without inertia", "a stokes_number of all or none"
+            )
+        for name, given in (("velocity", velocity), ("angular_velocity", angular_velocity)):
+            if given is not None and self.massless:
+                raise SceneError(name, "is given of massless bodies", "None")
+        self.velocity = None if velocity is None else np.asarray(velocity, dtype=np.float64)
+        self.angular_velocity = (
+            None if angular_velocity is None else np.asarray(angular_velocity, dtype=np.float64)
+        )
+        self.herald: Callable[[Any], None] | None = None
         self._rows = None if loads is None else LoadRows(loads, len(members))
 
     def forces(self, t: float, q: Array) -> dict[str, Any]:
@@ -73,9 +95,75 @@ class CoupledSimulation(Simulation):
         force, torque = self._rows.in_space(t, q)
         return {"force": force, "torque": torque}
 
-    def solved(self, t: float, x: Array, q: Array, **more: Any) -> Solution:
-        """The free bodies at centres x (N, 3) and orientations q (N, 4); see `Suspension.free`."""
-        return self.suspension.free(self.flow, x, q, t=t, **self.forces(t, q), **more)
+    def solved(
+        self,
+        kind: str,
+        t: float,
+        x: Array,
+        q: Array,
+        nodes: list[int] | None = None,
+        **motion: Array,
+    ) -> Solution:
+        """The bodies at centres x (N, 3) and orientations q (N, 4) at a time.
+
+        kind: "free" under their loads, "held" with a motion (`Suspension.held`), or "estimate":
+        free, with the estimated errors found.
+        """
+        if self.herald is not None:
+            self.herald((kind, t, x, q, nodes, motion))
+        suspension, flow = self.suspension, self.flow
+        if kind == "held":
+            return suspension.held(flow, x, q, t=t, nodes=nodes, **motion)
+        found = suspension.free(flow, x, q, t=t, nodes=nodes, **self.forces(t, q))
+        if kind == "estimate":
+            found.error_estimate  # noqa: B018  # found by all ranks
+        return found
+
+    # -- what the scene is --------------------------------------------------------------------
+
+    @property
+    def steady(self) -> bool:
+        """Whether no load depends on time."""
+        return self._rows is None or self._rows.steady
+
+    @property
+    def massless(self) -> bool:
+        """Whether the bodies have no inertia."""
+        return not np.any(self.stokes_number)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Velocity gradient (3, 3) at the first body's start."""
+        if self.flow is None:
+            return np.zeros((3, 3))
+        return np.asarray(self.flow.gradient(self.position[0]))
+
+    @property
+    def period(self) -> None:
+        """No period: that of Jeffery is one of a body alone."""
+
+    def __len__(self) -> int:
+        """Number of bodies."""
+        return len(self.position)
+
+    def assemble(self, *_: Any, **__: Any) -> Together:  # type: ignore[override]
+        """The equations of the scene with their start."""
+        from qbxstokes.simulation.together import assemble
+
+        return assemble(self)
+
+    def to_yaml(self, times: ArrayLike | None = None) -> str:
+        """Not there yet."""
+        raise SceneError("bodies", "share a fluid", "a case written by hand, with bodies")
+
+    def integrate(self, times: ArrayLike, **_: Any) -> CoupledMotion:
+        """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
+
+        Raises ContactError for bodies that touch, ConvergenceError where a step cannot be
+        completed.
+        """
+        self.check()
+        return self.assemble().motion(times)
 
     def check(self) -> None:
         """Refuse bodies that touch, and a flow that is none around them or slips on the wall."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.bodies import BodyEntry
-from qbxstokes.case.load import LoadedCase
+from qbxstokes.case.load import LoadedCase, case_of, load_case
+from qbxstokes.case.scene import WITH_FLOW
 from qbxstokes.errors import CaseError, FlowError
 from qbxstokes.motion.loads import Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.coupled import CoupledSimulation
-from qbxstokes.simulation.from_case import end_of, start_quaternion
+from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_quaternion
+from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.timed import timed
 from qbxstokes.simulation.wall import Wall
 
@@ -29,7 +32,10 @@ def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
     that cannot be used, SceneError for a scene that cannot be.
     """
     case = loaded.case
-    bodies = [Body(shape=body.outline, size=body.size) for body in case.members]
+    bodies = [
+        Body(shape=body.outline, size=body.size, stokes_number=body.stokes_number)
+        for body in case.members
+    ]
     wall = case.wall
     return CoupledSimulation(
         bodies if case.bodies is not None else bodies[0],
@@ -37,12 +43,18 @@ def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
         None if wall is None else Wall(wall.normal, wall.point, wall.velocity),
         position=np.array([body.start.position for body in case.members]),
         orientation=np.stack([start_quaternion(b.start, b.outline) for b in case.members]),
+        velocity=_moving([body.start.velocity for body in case.members]),
+        angular_velocity=_moving([body.start.angular_velocity for body in case.members]),
         loads=_loads_of(loaded),
         events=case.events,
         tolerance=case.hydrodynamics.tolerance if case.time is None else case.time.tolerance,
         resolution=case.hydrodynamics.tolerance,
         comm=comm,
     )
+
+
+def _moving(given: list[Any]) -> Array | None:
+    return None if WITH_FLOW in given else np.array(given)
 
 
 def _loads_of(loaded: LoadedCase) -> Loads | None:
@@ -71,7 +83,7 @@ def _loads_on(loaded: LoadedCase, index: int, body: BodyEntry, end: float) -> di
             raise loaded.error(key, str(error)) from None
     if forces.gravity is not None:
         direction = np.array(forces.gravity.direction)
-        net = forces.gravity.net(0.0) * body.outline.volume * body.size**3
+        net = forces.gravity.net(body.stokes_number) * body.outline.volume * body.size**3
         weight = net * direction / np.linalg.norm(direction)
         found["force"] = _sum(found.get("force", np.zeros(3)), weight)
     return found
@@ -89,3 +101,17 @@ def _stacked(vectors: list[Any]) -> Array | Callable[[float], Array]:
     if not any(callable(vector) for vector in whole):
         return np.stack(whole)
     return lambda t: np.stack([v(t) if callable(v) else v for v in whole])
+
+
+def from_case(case: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> Simulation:
+    """The simulation of a case file, or of its keys as a dictionary.
+
+    overrides: "section.key=value" as after --set. Raises CaseError for a case that is wrong.
+    """
+    loaded = case_of(case) if isinstance(case, Mapping) else load_case(case, overrides)
+    if loaded.case.task != "motion" or loaded.space is not None:
+        raise loaded.error("task", "is no single motion", "a case of task: motion without a sweep")
+    if loaded.case.coupled:
+        with pointed(loaded):
+            return coupled_of(loaded)
+    return simulation_of(loaded)

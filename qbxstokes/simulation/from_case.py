@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.case.load import LoadedCase, case_of, from_document, load_case
+from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.running import Time
 from qbxstokes.case.scene import FREE, LOCKED, Start
 from qbxstokes.errors import CaseError, FlowError, SceneError
@@ -276,14 +275,3 @@ def _vector(loaded: LoadedCase, key: tuple[str, str], value: Any, end: float) ->
         return timed(value, loaded.path.parent, end)
     except (CaseError, FlowError) as error:
         raise loaded.error(key, str(error)) from None
-
-
-def from_case(case: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> Simulation:
-    """The simulation of a case file, or of its keys as a dictionary.
-
-    overrides: "section.key=value" as after --set. Raises CaseError for a case that is wrong.
-    """
-    loaded = case_of(case) if isinstance(case, Mapping) else load_case(case, overrides)
-    if loaded.case.task != "motion" or loaded.space is not None:
-        raise loaded.error("task", "is no single motion", "a case of task: motion without a sweep")
-    return simulation_of(loaded)

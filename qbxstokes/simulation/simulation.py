@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
 Array = NDArray[np.float64]
+_COUPLED = "qbxstokes.simulation.coupled"
 ORIGIN, UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 Indices = NDArray[np.intp]
 
@@ -36,13 +38,14 @@ Indices = NDArray[np.intp]
 class Simulation:
     """One scene: a body in a flow, where it starts, and what acts on it.
 
-    bodies: one `Body` (several in one fluid: not yet). flow: a background flow (`qs.flow`).
-    surroundings: None, an unbounded fluid. position (..., 3), orientation: axes (..., 3) or
-    quaternions (..., 4), and the body's stokes_number (...) broadcast; their leading axes are
-    lanes, independent copies that are integrated together. velocity, angular_velocity (..., 3): at
-    the start, space frame; None: with the flow. loads: external force and torque. constraints:
-    held or prescribed parts of the motion. events: keys of that section of a case. tolerance: error
-    accepted at the end of the motion. On several ranks every rank builds the same simulation.
+    bodies: one `Body`; a list of several in one fluid, or a `Wall` as surroundings, make it a
+    `CoupledSimulation`, without lanes. flow: a background flow (`qs.flow`). position (..., 3),
+    orientation: axes (..., 3) or quaternions (..., 4), and the body's stokes_number (...)
+    broadcast; their leading axes are lanes, independent copies that are integrated together.
+    velocity, angular_velocity (..., 3): at the start, space frame; None: with the flow. loads:
+    external force and torque. constraints: held or prescribed parts of the motion. events: keys of
+    that section of a case. tolerance: error accepted at the end of the motion. On several ranks
+    every rank builds the same simulation.
 
     >>> import numpy as np, qbxstokes as qs
     >>> axes = [[1, 0, 1], [1, 0, 2]]
@@ -52,11 +55,18 @@ class Simulation:
     ((2, 41, 3), True)
     """
 
+    def __new__(cls, bodies: Any = (), flow: Any = None, surroundings: Any = None, **_: Any) -> Any:
+        """Several bodies, or one by a wall, make a `CoupledSimulation`."""
+        if cls is Simulation and (isinstance(bodies, Sequence) or surroundings is not None):
+            # It stands on this class, and is looked up when it is needed.
+            return super().__new__(import_module(_COUPLED).CoupledSimulation)
+        return super().__new__(cls)
+
     def __init__(
         self,
         bodies: Body | Sequence[Body],
         flow: Flow,
-        surroundings: None = None,
+        surroundings: Any = None,
         *,
         position: ArrayLike = ORIGIN,
         orientation: ArrayLike = UPRIGHT,
@@ -67,15 +77,11 @@ class Simulation:
         events: Mapping[str, Any] | EventSettings | None = None,
         tolerance: float = 1e-10,
     ) -> None:
-        several = list(bodies) if isinstance(bodies, Sequence) else [bodies]
-        if len(several) != 1:
-            raise SceneError("bodies", f"are {len(several)}", "one body; several: qs.Suspension")
-        several[0].check_size()
-        if surroundings is not None:
-            raise SceneError("surroundings", f"is {surroundings!r}", "None; a wall: qs.Suspension")
+        assert not isinstance(bodies, Sequence)  # `__new__` has made it another class
+        bodies.check_size()
         if not isinstance(flow, Flow):
             raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
-        self.body, self.flow = several[0], flow
+        self.body, self.flow = bodies, flow
         x, q, lead = places(position, orientation)
         self.lanes = np.broadcast_shapes(lead, self.body.stokes_number.shape)
         self.position = self._per_lane("position", x.reshape(*lead, 3), 3)

@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes
+from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes, least_rate
 from qbxstokes.bie.resolution import flow_nodes
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.solved import Solution
 from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
+    from qbxstokes.simulation.together import CoupledMotion
 
 Array = NDArray[np.float64]
 # Bodies above which the whole resistance is refused: six solves for each.
@@ -29,7 +31,7 @@ _SOLVER = 0.01
 
 
 class Suspension:
-    """Rigid spheroids in one fluid, with or without a plane wall, without inertia.
+    """Rigid spheroids in one fluid, with or without a plane wall, at an instant.
 
     bodies: a `Body` each (their `size` is the polar radius c in scene units, 1 unless given).
     surroundings: None or a `Wall`. tolerance: relative error to aim at; the grids follow from it
@@ -56,10 +58,6 @@ class Suspension:
         for body in self.bodies:
             if not isinstance(body.shape, Spheroid):
                 raise SceneError("bodies", f"hold a {body.shape}", "spheroids: gaps are theirs")
-            if np.any(body.stokes_number):
-                raise SceneError(
-                    "bodies", "have a stokes_number", "0: several bodies move without inertia"
-                )
         if surroundings is not None and not isinstance(surroundings, Wall):
             raise SceneError("surroundings", f"is {surroundings!r}", "None or a qs.Wall(...)")
         if not 1e-12 <= tolerance <= 0.1:
@@ -97,19 +95,29 @@ class Suspension:
     # -- one instant --------------------------------------------------------------------------
 
     def grids(
-        self, places: Sequence[Placed], flow: Flow | None = None, t: float = 0.0
+        self,
+        places: Sequence[Placed],
+        flow: Flow | None = None,
+        t: float = 0.0,
+        clipped: bool = False,
     ) -> list[int]:
         """Polar nodes of each body, which resolve the gaps and the flow.
 
-        Raises ContactError, and SceneError for a flow that is not one around the bodies.
+        clipped: as many as there are at most, where more were needed for a gap. Raises
+        ContactError, and SceneError for a flow that is not one around the bodies.
         """
-        chosen = choose_nodes(places, self.plane, self.tolerance)
+        chosen = choose_nodes(places, self.plane, self.tolerance, clipped)
         if flow is None:
             return chosen
         return [
             max(count, self._flow_nodes(b, place, flow, t))
             for b, (count, place) in enumerate(zip(chosen, places, strict=True), start=1)
         ]
+
+    @property
+    def least_rate(self) -> float:
+        """The least rate of decay of a gap (`geometry.gaps`) that the tolerance is served at."""
+        return least_rate(self.tolerance)
 
     def problem(self, places: Sequence[Placed], nodes: Sequence[int] | None = None) -> Coupled:
         """The linear problem of the bodies where they are. Raises ContactError."""
@@ -262,19 +270,32 @@ class Suspension:
         force: ArrayLike | None = None,
         torque: ArrayLike | None = None,
         tolerance: float = 1e-7,
-        least_gap: float = 0.0,
-    ) -> Any:
-        """The motion from times[0], sampled at increasing times (T,): a `SuspensionMotion`.
+        least_gap: float | None = None,
+    ) -> CoupledMotion:
+        """The motion from t = 0, sampled at increasing times (T,), by PETSc TS: (T, N, ...).
 
-        force, torque (N, 3) or (3,): constant, in space. tolerance: of the integrator per step. The
+        force, torque (N, 3) or (3,): constant, in space. tolerance: error accepted at the end. The
         motion ends early, with its event named, where a gap falls below least_gap, or below what
-        the tolerance of the suspension can be served at.
+        the tolerance of the suspension can be served at. Short for `qs.Simulation(...).integrate`,
+        where loads may depend on time and bodies have inertia.
         """
-        from qbxstokes.simulation.many import integrate
+        from qbxstokes.motion.loads import Loads
 
-        return integrate(
-            self, flow, times, position, orientation, force, torque, tolerance, least_gap
+        make: Any = Simulation
+        scene = make(
+            self.bodies,
+            flow,
+            self.wall,
+            position=position,
+            orientation=(0.0, 0.0, 1.0) if orientation is None else orientation,
+            loads=Loads(self._each(force), self._each(torque)),
+            events={} if least_gap is None else {"clearance": least_gap},
+            tolerance=tolerance,
+            resolution=self.tolerance,
+            comm=self.comm,
         )
+        found: CoupledMotion = scene.integrate(times)
+        return found
 
     # -- solving ------------------------------------------------------------------------------
 

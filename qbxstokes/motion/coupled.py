@@ -1,0 +1,195 @@
+"""Equations of motion of bodies that feel each other, or a wall, through the fluid.
+
+One lane of N bodies (`layout`); states are (N, n_state) for the user, (n_state, N) in `rates`.
+Without inertia, dx/dt = U and dq/dt = (0, Omega) * q / 2 with the velocities (U, Omega) at which
+the fluid's force and torque balance the loads on every body. With inertia,
+
+    St Theta dV/dt = F + F_ext,   St J dW/dt = M + M_ext - St W x (J W)   (body frame)
+
+with the force F and torque M of the fluid on the bodies of given velocities, Theta and J the volume
+and the moments of inertia of each, and St = rho_p L^2/(mu tau) with the scene's unit of length L.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.motion.layout import (
+    N_INERTIAL,
+    N_MASSLESS,
+    ORIENTATION,
+    POSITION,
+    RATES,
+    SPIN,
+    VELOCITY,
+    Layout,
+)
+from qbxstokes.motion.loads import Constraints
+
+Array = NDArray[np.float64]
+
+# Step of the differences of a Jacobian, well above the error of the rates.
+_STEP = 1e-4
+
+
+class SharedFluid(Protocol):
+    """What moves N bodies in one fluid: arrays (N, 3), quaternions (N, 4), in space."""
+
+    def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """Velocities and angular velocities at which nothing but the loads acts on the bodies."""
+
+    def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
+        """Force and torque of the fluid ON the bodies of given velocities."""
+
+    def loads(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Force and torque from outside."""
+
+    def gradient(self, t: float, x: Array) -> Array:
+        """Velocity gradient (N, 3, 3) of the background flow."""
+
+
+class CoupledEquations(RigidBodyEquations):
+    """dy/dt of the bodies of one fluid; see the module's text.
+
+    ratios: k of the bodies. stokes_number (N,), all zero or all positive. volume (N,), inertia
+    (N, 3): of the bodies at unit density. relaxation (N,): fastest rate at which the drag of each
+    alone takes up a motion, 0 without inertia.
+    """
+
+    def __init__(
+        self,
+        fluid: SharedFluid,
+        ratios: Array,
+        stokes_number: Array,
+        volume: Array,
+        inertia: Array,
+        relaxation: Array,
+    ) -> None:
+        self.fluid, self.n_lanes = fluid, len(ratios)
+        self.stokes_number = stokes_number
+        self.massless = not np.any(stokes_number)
+        self.n_state = N_MASSLESS if self.massless else N_INERTIAL
+        self.layout = Layout(self.n_state, 1, self.n_lanes)
+        self.constraints = Constraints()
+        self.evaluation, self.inertia = "plain", "both"
+        self._ratios, self._relaxation = ratios, relaxation
+        self._mass = stokes_number * volume
+        self._moments = stokes_number[:, None] * inertia
+        self._table, self._loads = None, None
+        self._latest: tuple[float, Array, tuple[Array, Array]] | None = None
+
+    @property
+    def effective_ratio(self) -> Array:
+        """Ratios k of the bodies (N,)."""
+        return self._ratios
+
+    @property
+    def free_of_torque(self) -> bool:
+        """Whether the fluid exerts neither force nor torque on any body: not known."""
+        return False
+
+    @property
+    def steady(self) -> bool:
+        """Whether many instants can be asked for at once: each is a problem of its own."""
+        return False
+
+    @property
+    def stiffness(self) -> Array:
+        """Fastest relaxation rate of each body alone, (N,); zero for St = 0."""
+        return self._relaxation
+
+    def rates(self, t: float, y: Array, out: Array) -> None:
+        """Write dy/dt, (n_state, N)."""
+        out[:] = self._rate_of(t, y.T).T
+
+    def _pieces(self, t: float, rows: Any) -> Any:
+        """dy/dt of one body by a wall as a tuple of numbers."""
+        return tuple(self._rate_of(t, np.array(rows, dtype=np.float64)[None])[0].tolist())
+
+    def _rate_of(self, t: float, y: Array) -> Array:
+        x, raw = y[:, POSITION], y[:, ORIENTATION]
+        q, rate = rotation.normalize(raw), np.empty_like(y)
+        v, omega = self.velocities(t, y)
+        rate[:, POSITION] = v
+        spin = np.concatenate([np.zeros((self.n_lanes, 1)), omega], axis=1)
+        rate[:, ORIENTATION] = 0.5 * rotation.multiply(spin, raw)
+        if self.massless:
+            return rate
+        force, torque = self.fluid.drag(t, x, q, v, omega)
+        push, turn = self.fluid.loads(t, q)
+        rate[:, VELOCITY] = (force + push) / self._mass[:, None]
+        w = y[:, SPIN]
+        about = rotation.to_body(q, torque + turn) - np.cross(w, self._moments * w)
+        rate[:, SPIN] = about / self._moments
+        return rate
+
+    def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
+        """V and Omega (space frame), each (N, 3), in the states y (N, n_state)."""
+        q = rotation.normalize(y[:, ORIENTATION])
+        if not self.massless:
+            return np.array(y[:, VELOCITY]), rotation.to_space(q, y[:, SPIN])
+        if self._latest is None or self._latest[0] != t or not np.array_equal(self._latest[1], y):
+            self._latest = t, np.array(y), self.fluid.free(t, y[:, POSITION], q)
+        return self._latest[2]
+
+    def force_torque(self, t: float, y: Array) -> tuple[Array, Array]:
+        """Hydrodynamic force and torque ON the bodies (space frame), each (N, 3)."""
+        q = rotation.normalize(y[:, ORIENTATION])
+        if self.massless:
+            force, torque = self.fluid.loads(t, q)
+            return 0.0 - force, 0.0 - torque
+        v, omega = self.velocities(t, y)
+        return self.fluid.drag(t, y[:, POSITION], q, v, omega)
+
+    def initial_state(
+        self,
+        position: ArrayLike,
+        quaternion: ArrayLike,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        t: float = 0.0,
+    ) -> Array:
+        """States (N, n_state); velocities (N, 3) in space, None: those of the free bodies."""
+        y = np.empty((self.n_lanes, self.n_state))
+        y[:, POSITION] = np.asarray(position, dtype=np.float64)
+        y[:, ORIENTATION] = rotation.normalize(np.broadcast_to(quaternion, (self.n_lanes, 4)))
+        if not self.massless:
+            q = y[:, ORIENTATION]
+            free = (np.zeros(3), np.zeros(3))
+            if velocity is None or angular_velocity is None:
+                free = self.fluid.free(t, y[:, POSITION], q)
+            y[:, RATES] = 0.0
+            y[:, VELOCITY] = free[0] if velocity is None else np.asarray(velocity)
+            omega = free[1] if angular_velocity is None else np.asarray(angular_velocity)
+            y[:, SPIN] = rotation.to_body(q, np.broadcast_to(omega, (self.n_lanes, 3)))
+        return y
+
+    def sensitivity(self, t: float, y: Array, horizon: float) -> float:
+        """How many times the error of one step may grow: that of the most slender body alone."""
+        slenderness = np.maximum(self._ratios, 1.0 / self._ratios)
+        turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
+        return float(np.max(slenderness * slenderness * np.maximum(1.0, turns)))
+
+    def _flow_gradient(self, t: float, y: Array) -> Array:
+        return self.fluid.gradient(t, y[:, POSITION])
+
+    def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
+        """The function (t, y, out) that writes the one block (1, N n_state, N n_state)."""
+        return self.jacobian
+
+    def jacobian(self, t: float, y: Array, out: Array) -> None:
+        """Write the Jacobian by central differences: two problems for each number of the state."""
+        states = np.array(y.T)
+        for column in range(states.size):
+            sides = []
+            for step in (_STEP, -_STEP):
+                moved = states.copy()
+                moved.ravel()[column] += step
+                sides.append(self._rate_of(t, moved).ravel())
+            out[0, :, column] = (sides[0] - sides[1]) / (2.0 * _STEP)

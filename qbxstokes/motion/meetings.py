@@ -1,0 +1,190 @@
+"""When bodies that share a fluid come too near to each other, to a wall, or leave their flow.
+
+A nearness is positive while all is well and tells who is concerned; where it vanishes inside a
+step is found as a root on the integrator's own states, as in `contacts`. Turning points of the
+coordinates of all bodies are recorded besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.coupled import CoupledEquations
+from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
+from qbxstokes.motion.roots import root
+
+Array = NDArray[np.float64]
+
+# The paths of the surfaces are taken to be at most so much longer than their chords.
+_BENT = 2.0
+# A piece of a step in which the surfaces move by less than this part of a body is not cut.
+_FINEST = 1e-3
+
+
+@dataclass(frozen=True)
+class Nearness:
+    """How near the bodies may still come: room to what ends the run (scene units), and its words.
+
+    room: negative where the run has to end; gap: the least gap itself; pair: bodies by number from
+    1, 0 the wall. name: of the event, reason: why the run ends there.
+    """
+
+    room: float
+    gap: float
+    pair: tuple[int, int]
+    name: str
+    reason: str
+
+
+@dataclass
+class Meetings:
+    """Watches the steps of one scene; call it with every step.
+
+    nearness: of states (N, n_state). arm (N,): largest distance of each surface from its centre.
+    turning: coordinates ("x1", "d3", ...) whose turning points are recorded of every body. found,
+    counts, first, last, ended: as in `events.Events`; rows hold time, body, other body (0: none or
+    the wall), the least gap of the scene and the body's position. nearest: least gap at the end of
+    a step, who, and when.
+    """
+
+    equations: CoupledEquations
+    nearness: Callable[[Array], Nearness]
+    arm: Array
+    turning: Sequence[str] = ()
+    found: dict[str, list[list[float]]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    first: dict[str, list[float]] = field(default_factory=dict)
+    last: dict[str, list[float]] = field(default_factory=dict)
+    nearest: tuple[float, tuple[int, int], float] | None = None
+    ended: tuple[str, str] = ("", "")
+    _speeds: dict[str, list[float]] = field(default_factory=dict)
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered from step to step, as plain data for a checkpoint."""
+        return {
+            "counts": dict(self.counts),
+            "first": {name: list(row) for name, row in self.first.items()},
+            "last": {name: list(row) for name, row in self.last.items()},
+            "nearest": self.nearest,
+            "speeds": {name: list(row) for name, row in self._speeds.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        self.counts = dict(state["counts"])
+        self.first, self.last = dict(state["first"]), dict(state["last"])
+        if state["nearest"] is not None:
+            gap, pair, t = state["nearest"]
+            self.nearest = gap, (pair[0], pair[1]), t
+        self._speeds = {name: list(row) for name, row in state["speeds"].items()}
+
+    def take(self) -> dict[str, Array]:
+        """The rows found since the last call."""
+        found = {name: np.array(rows) for name, rows in self.found.items()}
+        self.found = {}
+        return found
+
+    def begin(self, t: float, y: Array) -> None:
+        """Look at the start."""
+        self._note(t, self.nearness(y))
+        for name in self.turning:
+            self._speeds[name] = self._rates(name, t, y).tolist()
+
+    def __call__(self, step: Step) -> float | None:
+        """Events of a step; the instant at which the run ends, if it does."""
+        contact = self._contact(step)
+        end = step.after if contact is None else contact[0]
+        for name in self.turning:
+            self._turn(name, step, end)
+        if contact is None:
+            return None
+        t, near = contact
+        self.ended = (near.name, near.reason)
+        state = step.end if t >= step.after else step.state(t)
+        body = max(near.pair[0], 1)
+        self._record(near.name, t, state, body, near.pair[1], near.gap)
+        return t
+
+    # -- contacts -----------------------------------------------------------------------------
+
+    def _contact(self, step: Step) -> tuple[float, Nearness] | None:
+        """The first instant of the step at which there is no room left."""
+        begin = (step.before, step.start, self.nearness(step.start))
+        todo = [(step.after, step.end, self.nearness(step.end))]
+        while todo:
+            end = todo[-1]
+            travel = self._travel(begin[1], end[1])
+            near = end[2].room > 0.0 and begin[2].room + end[2].room < travel
+            middle = 0.5 * (begin[0] + end[0])
+            if near and travel > _FINEST * self.arm.min() and begin[0] < middle < end[0]:
+                states = step.state(middle)
+                todo.append((middle, states, self.nearness(states)))
+                continue
+            if end[2].room <= 0.0:
+                return self._crossing(step, begin[0], begin[2], end)
+            begin = todo.pop()
+            self._note(begin[0], begin[2])
+        return None
+
+    def _crossing(
+        self, step: Step, t0: float, before: Nearness, end: tuple[float, Array, Nearness]
+    ) -> tuple[float, Nearness]:
+        t1, states, after = end
+
+        def room(t: float) -> float:
+            return after.room if t == t1 else self.nearness(step.state(t)).room
+
+        t = t0 if before.room <= 0.0 else root(room, t0, t1, before.room, after.room)
+        return t, self.nearness(states if t == t1 else step.state(t))
+
+    def _travel(self, start: Array, end: Array) -> float:
+        """About how far two surfaces can have come together."""
+        axes = [rotation.axis(rotation.normalize(y[:, ORIENTATION])) for y in (start, end)]
+        way = np.linalg.norm(end[:, POSITION] - start[:, POSITION], axis=1)
+        ways = way + self.arm * np.linalg.norm(axes[1] - axes[0], axis=1)
+        return float(_BENT * np.sum(np.sort(ways)[-2:]))
+
+    def _note(self, t: float, near: Nearness) -> None:
+        if self.nearest is None or near.gap < self.nearest[0]:
+            self.nearest = near.gap, near.pair, t
+
+    # -- turning points -----------------------------------------------------------------------
+
+    def _rates(self, name: str, t: float, y: Array) -> Array:
+        """Rates (N,) of a coordinate of the centres, or of the axes."""
+        v, omega = self.equations.velocities(t, y)
+        if name[0] == "d":
+            v = np.cross(omega, rotation.axis(rotation.normalize(y[:, ORIENTATION])))
+        return np.asarray(v[:, int(name[1]) - 1])
+
+    def _turn(self, name: str, step: Step, end: float) -> None:
+        before = np.array(self._speeds[name])
+        after = self._rates(name, step.after, step.end)
+        self._speeds[name] = after.tolist()
+        scale = 1e-9 * max(1.0, float(np.abs(after).max()))
+        for body in range(len(after)):
+            a, b = float(before[body]), float(after[body])
+            if a * b >= 0.0 or min(abs(a), abs(b)) <= scale:
+                continue
+
+            def rate(t: float, body: int = body) -> float:
+                return float(self._rates(name, t, step.state(t))[body])
+
+            t = root(rate, step.before, step.after, a, b)
+            if t <= end:
+                state = step.state(t)
+                gap = self.nearness(state).gap
+                self._record(f"turning_{name}", t, state, body + 1, 0, gap)
+
+    def _record(self, name: str, t: float, y: Array, body: int, other: int, gap: float) -> None:
+        row = [t, float(body), float(other), gap, *y[body - 1, POSITION].tolist()]
+        self.found.setdefault(name, []).append(row)
+        self.counts[name] = self.counts.get(name, 0) + 1
+        self.first.setdefault(name, row)
+        self.last[name] = row

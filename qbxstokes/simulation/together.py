@@ -1,0 +1,310 @@
+"""The assembly of bodies that share a fluid: equations, integrator, events and what they give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.bie.coupling import LEAST_NODES, MOST_NODES, closest, names_of
+from qbxstokes.bie.scatterer import scatterer
+from qbxstokes.errors import ConvergenceError, FlowError, SceneError
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.coupled import CoupledEquations
+from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.motion.meetings import Meetings, Nearness
+from qbxstokes.motion.observables import observe
+from qbxstokes.motion.stress import components, symmetric
+from qbxstokes.quantities import MOTION, of_event
+from qbxstokes.simulation.result import Motion, integration_facts
+from qbxstokes.simulation.watch import split_columns
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.coupled import CoupledSimulation
+
+Array = NDArray[np.float64]
+
+# Steps and samples between cuts, where a run can be resumed: some seconds of work.
+CUT_STEPS, CUT_SAMPLES = 5, 20
+# Steps at least over a run whose flow or loads change in time.
+_STEPS_IN_TIME = 20.0
+# Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
+_LOOSE = 1e-6
+
+
+class Fluid:
+    """What the equations ask of a scene: each answer is a problem of its own."""
+
+    def __init__(self, scene: CoupledSimulation) -> None:
+        self.scene = scene
+        self.iterations = self.solves = 0
+        self.errors: dict[str, float] = {}
+
+    def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """Velocities of the bodies under their loads."""
+        found = self._solved("free", t, x, q)
+        return found.velocity, found.angular_velocity
+
+    def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
+        """Force and torque of the fluid ON the bodies."""
+        found = self._solved("held", t, x, q, velocity=v, angular_velocity=omega)
+        return -found.force, -found.torque
+
+    def loads(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Force and torque from outside."""
+        still = np.zeros((len(q), 3))
+        found = self.scene.forces(t, q)
+        return found.get("force", still), found.get("torque", still)
+
+    def gradient(self, t: float, x: Array) -> Array:
+        """Velocity gradient of the flow at the centres."""
+        flow = self.scene.flow
+        return np.zeros((len(x), 3, 3)) if flow is None else np.asarray(flow.gradient(x, t))
+
+    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Any) -> Array:
+        """Stresslets (N, 6) of the free bodies."""
+        return components(self._solved("free", t, x, q).stresslet)
+
+    def estimate(self, t: float, y: Array) -> None:
+        """Take the estimated errors of the velocities in a state into account."""
+        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
+        found = self._solved("estimate", t, x, q).error_estimate
+        for name in ("velocity", "angular_velocity"):
+            self.errors[name] = max(self.errors.get(name, 0.0), found[name])
+
+    def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
+        scene = self.scene
+        try:
+            nodes = scene.suspension.grids(scene.suspension.placed(x, q), scene.flow, t, True)
+        except SceneError as error:  # beyond the edge of the flow, or at its singular point
+            raise FlowError(str(error)) from None
+        # From nothing, not from the last solution: numbers do not depend on what was asked before.
+        found = scene.solved(kind, t, x, q, nodes, **motion)
+        self.solves += 1
+        self.iterations += found.iterations
+        return found
+
+
+@dataclass
+class Together:
+    """A scene ready to be integrated: equations and the states (N, n_state) that they start from.
+
+    What `assembly.Assembled` is for lanes of one body.
+    """
+
+    scene: CoupledSimulation
+    fluid: Fluid
+    equations: CoupledEquations
+    initial: Array
+
+    def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
+        """`petsc.stepper.integrate` of the equations with the scene's tolerance."""
+        from qbxstokes.petsc.stepper import integrate
+
+        equations, end, flow = self.equations, float(times[-1]), self.scene.flow
+        local = self.scene.tolerance / equations.sensitivity(0.0, self.initial, end)
+        longest = None
+        if not (self.scene.steady and (flow is None or flow.steady)):
+            longest = min(end / _STEPS_IN_TIME, math.inf if flow is None else flow.spacing)
+        limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS}
+        return integrate(
+            equations,
+            self.initial if start is None else start,
+            times,
+            self.scene.tolerance,
+            method="5dp" if local > _LOOSE else "8vr",
+            longest_step=longest,
+            **{**limits, **settings},
+        )
+
+    def watch(self) -> Meetings:
+        """What watches for contacts and turning points; raises SceneError where one is there."""
+        scene, section = self.scene, self.scene.events
+        arm = np.array([body.size * body.shape.radius for body in scene.suspension.bodies])
+        watch = Meetings(self.equations, self.nearness, arm, section.turning_points)
+        near = self.nearness(self.initial)
+        if near.room <= 0.0:
+            raise SceneError("events.clearance", f"is {section.clearance:g}", near.reason)
+        return watch
+
+    def nearness(self, states: Array) -> Nearness:
+        """How near the bodies may still come to each other, to the wall and to the flow's edges."""
+        scene = self.scene
+        suspension = scene.suspension
+        places = suspension.placed(states[:, POSITION], states[:, ORIENTATION])
+        gap, (b, c), rates = closest(places, suspension.plane)
+        pair, who = (b + 1, c + 1), names_of(b, c)
+        bound = scene.events.clearance
+        reason = f"{who}: the gap fell to {bound or 0.0:.3g}"
+        near = Nearness(gap - (bound or 0.0), gap, pair, "clearance", reason)
+        # The rate of decay that the finest grids just serve.
+        body = int(np.argmin(rates))
+        size = suspension.bodies[body].size
+        room = size * (float(rates[body]) - suspension.least_rate)
+        if bound is None or room < near.room:
+            name = "wall_contact" if c < 0 else "body_contact"
+            reason = (
+                f"{who}: at the gap {gap:.3g} the tolerance {suspension.tolerance:.0e} would take "
+                f"more than {MOST_NODES} polar nodes"
+            )
+            near = Nearness(min(room, gap), gap, pair, name, reason)
+        for edge in scene.flow.domain if scene.flow is not None else ():
+            reach = np.stack([p.size**2 * p.shape.extent(p.axis) for p in places])
+            away = edge.gap(states[:, POSITION], reach)
+            body = int(np.argmin(away))
+            if away[body] < near.room:
+                reason = f"body {body + 1} reached {edge}, where its flow ends"
+                near = Nearness(float(away[body]), gap, (body + 1, 0), "domain_exit", reason)
+        return near
+
+    def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
+        """The wanted quantities (T, N, ...) from states (T, N, n_state) at times (T,)."""
+        shear = None if self.scene.flow is None else self.scene.frame.shear
+        found = observe(self.equations, times, states, False, wanted, shear, self.fluid)
+        return {name: found[name] for name in dict.fromkeys((*wanted, *found))}
+
+    def gaps(self, states: Array) -> Array:
+        """The least gap (T,) of each of the states (T, N, n_state)."""
+        return np.array([self.nearness(state).gap for state in states])
+
+    def motion(self, times: ArrayLike) -> CoupledMotion:
+        """The motion sampled at times (T,)."""
+        instants = np.asarray(times, dtype=np.float64)
+        if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
+            raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
+        watch = self.watch()
+        watch.begin(0.0, self.initial)
+        trajectory = self.trajectory(instants, observe=watch)
+        if trajectory.failure:
+            raise ConvergenceError(trajectory.failure)
+        if trajectory.refusal:
+            watch.ended = ("clearance", trajectory.refusal)
+        self.estimate(trajectory, watch)
+        return CoupledMotion.together(self, trajectory, watch)
+
+    def estimate(self, trajectory: Any, watch: Meetings) -> None:
+        """Estimate the error of the velocities at the start and at the end."""
+        self.fluid.estimate(0.0, self.initial)
+        self.fluid.estimate(trajectory.checkpoint.time, trajectory.checkpoint.state)
+
+
+@dataclass(frozen=True)
+class CoupledMotion(Motion):
+    """A motion of bodies that share a fluid: arrays (T, N, ...), or (T, ...) of a single body.
+
+    gap (T,): the least of the scene. ended_by: None, `wall_contact`, `body_contact`, `clearance` or
+    `domain_exit`, with what it says in message; the last sample is then that instant.
+    """
+
+    gap: Array
+
+    @classmethod
+    def together(cls, assembled: Together, trajectory: Any, watch: Meetings) -> CoupledMotion:
+        """From the states of an integration."""
+        times, states = trajectory.times, trajectory.states
+        several = assembled.scene.several
+        found = assembled.observe(times, states, tuple(MOTION))
+        values = {name: found[name] if several else found[name][:, 0] for name in MOTION}
+        events = {
+            name: split_columns(rows, of_event(name, coupled=True))
+            for name, rows in watch.take().items()
+        }
+        summary = {
+            **integration_facts(trajectory),
+            **facts(assembled),
+            "events": meetings_summary(watch),
+        }
+        return cls(
+            times,
+            **values,
+            summary=summary,
+            events=events,
+            _assembled=assembled,  # type: ignore[arg-type]
+            _states=states,
+            gap=assembled.gaps(states),
+        )
+
+    @property
+    def ended_by(self) -> str | None:
+        """The event that ended the motion before its last instant."""
+        found: str | None = self.summary["events"].get("ended_by")
+        return found
+
+    @property
+    def message(self) -> str:
+        """What that event says."""
+        return str(self.summary["events"].get("ended_because", ""))
+
+    @cached_property
+    def stresslet(self) -> Array:
+        """Stresslets (T, N, 3, 3), space frame; computed when asked."""
+        assembled: Any = self._assembled
+        found = assembled.observe(self.time, self._states, ("stresslet",))["stresslet"]
+        return symmetric(found if assembled.scene.several else found[:, 0])
+
+    def between(self, begin: float, end: float) -> CoupledMotion:
+        """The samples from begin to end, both included."""
+        first, last = np.searchsorted(self.time, begin), np.searchsorted(self.time, end, "right")
+        part = slice(first, last)
+        values = {name: getattr(self, name)[part] for name in (*MOTION, "time", "gap")}
+        return replace(self, **values, _states=self._states[part])
+
+    def averages(self, discard: float = 0.0) -> dict[str, Array]:
+        """Not there: half-turns are those of a body alone."""
+        raise SceneError("averages", "are those of one body alone", "averages of the samples")
+
+    def comparison(self) -> Any:
+        """No reference is known."""
+        from qbxstokes.simulation.compare import Comparison
+
+        return Comparison()
+
+
+def facts(assembled: Together) -> dict[str, Any]:
+    """What the solves of a motion took, and the estimated errors of its velocities."""
+    fluid = assembled.fluid
+    return {
+        "solves": fluid.solves,
+        "iterations": fluid.iterations,
+        "velocity_errors": dict(fluid.errors),
+    }
+
+
+def meetings_summary(watch: Meetings) -> dict[str, Any]:
+    """What was seen, in a few numbers."""
+    summary: dict[str, Any] = {"counts": dict(watch.counts)}
+    if watch.nearest is not None and math.isfinite(watch.nearest[0]):
+        gap, (b, c), t = watch.nearest
+        summary["nearest"] = {"gap": gap, "who": names_of(b - 1, c - 1), "time": t}
+    if watch.ended[0]:
+        summary |= {"ended_by": watch.ended[0], "ended_because": watch.ended[1]}
+    return summary
+
+
+def assemble(scene: CoupledSimulation) -> Together:
+    """Equations of the scene with their start."""
+    bodies = scene.suspension.bodies
+    fluid = Fluid(scene)
+    size = np.array([body.size for body in bodies])
+    volume = size**3 * np.array([body.shape.volume for body in bodies])
+    inertia = size[:, None] ** 5 * np.array([body.shape.inertia for body in bodies])
+    stokes = scene.stokes_number
+    relaxation = np.zeros(len(bodies))
+    if np.any(stokes):
+        drag = [np.diag(scatterer(body.shape, LEAST_NODES).resistance) for body in bodies]
+        for b, own in enumerate(drag):
+            rates = np.concatenate(
+                [own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]]
+            )
+            relaxation[b] = rates.max() / stokes[b]
+    ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
+    equations = CoupledEquations(fluid, ratios, stokes, volume, inertia, relaxation)
+    start = equations.initial_state(
+        scene.position, scene.quaternion, scene.velocity, scene.angular_velocity
+    )
+    return Together(scene, fluid, equations, start)
