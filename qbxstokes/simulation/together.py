@@ -15,11 +15,11 @@ from qbxstokes.bie.coupling import LEAST_NODES, MOST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
-from qbxstokes.motion.stress import components, symmetric
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation.result import Motion, integration_facts
 from qbxstokes.simulation.watch import split_columns
