@@ -360,6 +360,17 @@ def of_ensemble(name: str) -> Quantity:
 
 STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
 
+# Of a scene of several bodies or a wall, in the table of a sweep.
+COUPLED_COLUMNS = _table(r"""
+gap             | g | c   | least gap of the scene, in a motion at its samples
+end             | t | tau | last instant || last instant $t$
+steps           |   | 1   | steps of the integrator
+rhs_evaluations |   | 1   | right-hand sides
+iterations      |   | 1   | GMRES iterations
+error_estimate  |   | 1   | estimated error of the velocities, or of the resistance, relative
+wall_time       |   | s   | wall time
+""")
+
 STATUS = _table("""
 status | | | 0 missing, 1 done, 2 failed
 reason | | | why it failed, or ended before the last instant

@@ -133,6 +133,21 @@ def test_a_fall_ends_at_the_clearance_of_the_case() -> None:
     assert events["counts"]["clearance"] == 1
 
 
+def test_a_sweep_computes_scenes_alone_and_tells_those_that_touch() -> None:
+    axes = {"bodies[1].start.position[0]": [3.0, 1.2, 2.0]}
+    found = qs.sweep({**PAIR, "bodies": PAIR["bodies"]}, axes)
+    assert found.table["status"].tolist() == [1, 1, 1]
+    assert np.allclose(found.table["gap"], [2.0, 0.2, 1.0])
+    alone = qs.run(PAIR)
+    assert found.table["free_velocity_2_3"][0] == alone.free_velocity[1, 2]
+    moving = {**FALL, "time": {"end": 0.2, "samples": 2, "tolerance": 1e-3}}
+    moved = qs.sweep(moving, {"bodies[1].size": [0.5, 3.0]})
+    assert moved.position.shape == (2, 2, 2, 3)
+    assert moved.table["status"].tolist() == [1, 2]
+    assert b"body 2 and the wall: the gap is -1" in moved.table["reason"][1]
+    assert np.array_equal(moved.trajectory(0).position, qs.run(moving).position)
+
+
 def test_inertia_follows_the_drag() -> None:
     # A sphere far from the wall takes up its velocity with the rate 6 pi/(St 4 pi/3).
     body = qs.Body(1.0, stokes_number=2.0)

@@ -32,7 +32,7 @@ from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
 from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
 from qbxstokes.io.store import check_disk
-from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity
+from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity, of_bodies
 
 if TYPE_CHECKING:
     import h5py
@@ -60,7 +60,8 @@ class Layout:
 
     dtype: of the table. quantities: those stored at every instant, () for the table alone.
     times: the instants (T,) of all trajectories, or None where they differ. coordinates: names of
-    the table's columns that are swept values. descriptions: of the table's columns.
+    the table's columns that are swept values. descriptions: of the table's columns. bodies: how
+    many share the fluid, 0 where the quantities are those of one body.
     """
 
     size: int
@@ -70,11 +71,17 @@ class Layout:
     times: Array | None
     coordinates: tuple[str, ...]
     descriptions: Mapping[str, Quantity]
+    bodies: int = 0
+
+    def about(self, name: str) -> Quantity:
+        """What a stored quantity is, of several bodies with their axis."""
+        about = RECORDABLE[name]
+        return of_bodies(about, self.bodies) if self.bodies else about
 
     @property
     def row_bytes(self) -> int:
         """Bytes per trajectory."""
-        numbers = sum(RECORDABLE[name].size for name in self.quantities)
+        numbers = sum(self.about(name).size for name in self.quantities)
         own_times = self.samples if self.quantities and self.times is None else 0
         scales = 8 * (1 + len(self.coordinates))
         return 8 * numbers * self.samples + 8 * own_times + self.dtype.itemsize + scales
@@ -236,7 +243,7 @@ def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Datase
     else:
         time.make_scale("time")
     for name in layout.quantities:
-        about = RECORDABLE[name]
+        about = layout.about(name)
         data = rows_of(name, (layout.size, layout.samples, *about.shape), numbers, about)
         for scale in (index, *scales):
             data.dims[0].attach_scale(scale)
@@ -253,7 +260,9 @@ class WholeFile:
         """Open it; raises OSError."""
         self._descriptor = os.open(data, os.O_RDWR if writable else os.O_RDONLY)
         self._offsets, self._layout = offsets, layout
-        self._row = {name: 8 * layout.samples * RECORDABLE[name].size for name in layout.quantities}
+        self._row = {
+            name: 8 * layout.samples * layout.about(name).size for name in layout.quantities
+        }
         self._row["table"] = layout.dtype.itemsize
         if layout.quantities and layout.times is None:
             self._row["time"] = 8 * layout.samples
@@ -282,7 +291,7 @@ class WholeFile:
         """What stands in the rows (m,), as `write_rows` takes it."""
         found = {"table": self.read_table(rows)}
         for name in self._row.keys() - {"table"}:
-            shape = RECORDABLE[name].shape if name in RECORDABLE else ()
+            shape = self._layout.about(name).shape if name in RECORDABLE else ()
             data = np.frombuffer(self._bytes(name, rows))
             found[name] = data.reshape(len(rows), self._layout.samples, *shape)
         return found

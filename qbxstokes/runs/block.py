@@ -19,7 +19,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
-from qbxstokes.quantities import COLUMNS, RECORDABLE
+from qbxstokes.quantities import COLUMNS, RECORDABLE, Quantity
 from qbxstokes.runs.gathering import Gathering, Item
 from qbxstokes.runs.scenes import STOKES
 from qbxstokes.simulation.assembly import assemble
@@ -51,12 +51,19 @@ class BlockResult:
 
 
 def empty_result(
-    n: int, columns: Iterable[str], quantities: Iterable[str], times: Array
+    n: int,
+    columns: Iterable[str],
+    quantities: Iterable[str],
+    times: Array,
+    about: Callable[[str], Quantity] = RECORDABLE.__getitem__,
 ) -> BlockResult:
-    """Results of n trajectories at times (T,) that are still to be filled in."""
+    """Results of n trajectories at times (T,) that are still to be filled in.
+
+    about: what a quantity is, if not that of one body.
+    """
     return BlockResult(
         {name: np.full(n, np.nan) for name in columns},
-        {name: np.full((n, len(times), *RECORDABLE[name].shape), np.nan) for name in quantities},
+        {name: np.full((n, len(times), *about(name).shape), np.nan) for name in quantities},
         times,
     )
 

@@ -37,7 +37,7 @@ def run_coupled(job: Job) -> dict[str, Any]:
     summary: dict[str, Any] = {}
     try:
         with job.clock.part("bodies"), pointed(loaded):
-            arrays, summary = _computed(coupled_of(loaded, over(comm)))
+            arrays, summary = computed(coupled_of(loaded, over(comm)))
     except QbxStokesError as error:
         failure = error
     agree(comm, failure)
@@ -62,7 +62,7 @@ def run_coupled(job: Job) -> dict[str, Any]:
     return on_root(comm, write)
 
 
-def _computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]]:
+def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]]:
     """What bodies do at the start: arrays by name, and what is told of them."""
     suspension, x, q = scene.suspension, scene.position, scene.quaternion
     resistance, error = suspension.resistance_and_error(x, q)

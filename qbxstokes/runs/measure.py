@@ -22,6 +22,7 @@ from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, summarise
+from qbxstokes.runs.coupled_sweep import fill
 from qbxstokes.runs.plan import make_plan, plan_body
 from qbxstokes.runs.scenes import case_at
 from qbxstokes.simulation.assembly import assemble
@@ -82,7 +83,9 @@ class Measurer:
             loaded = case_at(scenes.loaded, [int(point) for point in points])
             swept = [str(c.key[1]) for _, c in scenes.space.columns if c.key[0] == "petsc"]
             with own_options({name: loaded.case.petsc[name] for name in swept}):
-                if loaded.case.task == "body":
+                if loaded.case.coupled:
+                    found = fill(loaded, result)
+                elif loaded.case.task == "body":
                     found = self._body(loaded)
                 else:
                     found = self._motion(loaded, result)

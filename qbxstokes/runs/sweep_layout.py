@@ -14,6 +14,7 @@ from qbxstokes.case.sweep import column_name
 from qbxstokes.case.values import Key
 from qbxstokes.io.sweep import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
+from qbxstokes.runs.coupled_sweep import CoupledScenes
 from qbxstokes.runs.plan import plan_body
 from qbxstokes.runs.scenes import Block, Scenes
 
@@ -59,11 +60,13 @@ class BodyScenes:
         return plan_body(self.loaded).skips
 
 
-Swept = Scenes | BodyScenes
+Swept = Scenes | BodyScenes | CoupledScenes
 
 
 def swept_scenes(loaded: LoadedCase) -> Swept:
-    """The scenes of a sweep: of motions, or of bodies."""
+    """The scenes of a sweep: of motions, of bodies, or of bodies that share a fluid."""
+    if loaded.case.coupled:
+        return CoupledScenes(loaded)
     if loaded.case.task == "body":
         return BodyScenes(loaded)
     return Scenes(loaded)
@@ -87,6 +90,7 @@ def layout_of(scenes: Swept) -> Layout:
         scenes.common_times,
         tuple(coordinates),
         {**swept, **STATUS, **scenes.columns},
+        scenes.bodies if isinstance(scenes, CoupledScenes) else 0,
     )
 
 

@@ -19,7 +19,6 @@ from qbxstokes.errors import QbxStokesError
 from qbxstokes.io.cache import SharedCache, open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
-from qbxstokes.quantities import RECORDABLE
 from qbxstokes.runs import block
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.interrupt import Interruption, interrupted
@@ -258,7 +257,7 @@ class _Computed:
             table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
         rows: dict[str, Array] = {"index": self.index, "table": table}
         for name in layout.quantities:
-            rows[name] = np.full((n, layout.samples, *RECORDABLE[name].shape), np.nan)
+            rows[name] = np.full((n, layout.samples, *layout.about(name).shape), np.nan)
             rows[name][:well] = result.quantities[name]
         if layout.quantities and layout.times is None:
             rows["time"] = np.tile(result.times, (n, 1))
@@ -277,7 +276,7 @@ class _Alone:
         scenes, layout = self._scenes, self._layout
         index = scenes.block(number).index
         times = np.full(layout.samples, np.nan)
-        result = block.empty_result(1, scenes.columns, layout.quantities, times)
+        result = block.empty_result(1, scenes.columns, layout.quantities, times, layout.about)
         self._measurer.measure(int(index[0]), result)
         return _Computed(index, result, {})
 

@@ -243,9 +243,14 @@ class CoupledMotion(Motion):
     @cached_property
     def stresslet(self) -> Array:
         """Stresslets (T, N, 3, 3), space frame; computed when asked."""
+        return symmetric(self.stresslet6)
+
+    @cached_property
+    def stresslet6(self) -> Array:
+        """Their components 11, 22, 33, 12, 13, 23, as files hold them."""
         assembled: Any = self._assembled
         found = assembled.observe(self.time, self._states, ("stresslet",))["stresslet"]
-        return symmetric(found if assembled.scene.several else found[:, 0])
+        return found if assembled.scene.several else found[:, 0]
 
     def between(self, begin: float, end: float) -> CoupledMotion:
         """The samples from begin to end, both included."""
