@@ -61,8 +61,7 @@ def functions_figure(result: ResultLike) -> Figure:
         if times is None:
             _over_peclet(axes, numbers, values)
             if error.any():
-                bars = {"fmt": "none", "color": style.BLACK, "linewidth": 0.8}
-                axes.errorbar(numbers, values, error, **bars)
+                axes.errorbar(numbers, values, error, fmt="none", color=style.BLACK)
         else:
             for index, number in enumerate(numbers.tolist()):
                 look, own, around = style.line_style(index), values[index], error[index]

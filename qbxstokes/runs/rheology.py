@@ -101,8 +101,8 @@ def _compute(
     shape = scene.body.shape
     if case.compare.reference != "none" and isinstance(shape, Spheroid):
         exact = np.array(stresslet_numbers(shape.aspect_ratio))
-        numbers = np.array(found.summary["stresslet_numbers"])
-        errors["stresslet"] = float(np.max(np.abs(numbers / exact - 1.0)))
+        own = np.array(found.summary["stresslet_numbers"])
+        errors["stresslet"] = float(np.max(np.abs(own / exact - 1.0)))
         references["stresslet"] = "Jeffery, Kim and Karrila"
     summary: dict[str, Any] = {
         "case": str(loaded.path),

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 # Samples of a turn, doubled from the first to the last; axes that turn less than this are steady.
-_FIRST, _LAST, _STILL = 256, 4096, 1e-9
+_FIRST, _LAST, _STILL = 512, 8192, 1e-9
+# Whole turns that are followed after that, and changes that are those of the integration.
+_TURNS, _ROUNDING = 3, 1e-9
 
 
 def inertial_means(
@@ -26,8 +28,8 @@ def inertial_means(
 ) -> dict[str, Any]:
     """Stress and order tensor over the last turn of each start, weighted.
 
-    settling: strain that the body is given to come to its attractor. error_estimate: the largest
-    relative change of the stress from the last turn but one, or under finer sampling. Raises
+    settling: strain that the body is given to come to its attractor. error_estimate: what is
+    left to the attractor, as the changes from turn to turn tell, and to finer sampling. Raises
     SceneError for isotropic starts, of which none is a motion.
     """
     if starts.axes is None:
@@ -46,32 +48,60 @@ def inertial_means(
 
 
 def _last_turn(scene: Simulation, end: float, tolerance: float) -> dict[str, Any]:
-    """The means of one body that moves until `end`."""
-    motion = scene.integrate([0.0, 0.9 * end, end])
-    turns = motion.events.get("half_turns", {}).get("time", np.zeros(0))
-    if len(turns) < 5:
-        if np.abs(motion.axis[-1] - motion.axis[-2]).max() > _STILL:
-            raise ConvergenceError(
-                f"the body neither rests nor turns twice within the strain of settling; it made "
-                f"{len(turns)} half turns: raise settling"
-            )
+    """The means of one body over a turn after it has moved until `end`."""
+    motion = scene.integrate([0.0, 0.85 * end, 0.9 * end, end])
+    if np.abs(motion.axis[-3:-1] - motion.axis[-1]).max() <= _STILL:
         return {**_means(motion, slice(-1, None)), "error_estimate": 0.0}
-    latest, before = turns[-3:][[0, 2]], turns[-5:][[0, 2]]
-    samples, coarse = _FIRST, _of_turn(scene, latest, _FIRST)
+    turns = _half_turns(motion)
+    if len(turns) >= 3:
+        # It goes on from there: no turn is sampled at the price of the way to it.
+        then = Simulation(
+            scene.body,
+            scene.flow,
+            position=motion.position[-1],
+            orientation=motion.orientation[-1],
+            velocity=motion.velocity[-1],
+            angular_velocity=motion.angular_velocity[-1],
+            tolerance=scene.tolerance,
+        )
+        turns = _half_turns(then.integrate([0.0, 1.5 * (turns[-1] - turns[-3]) * _TURNS]))
+    if len(turns) <= 2 * _TURNS:
+        raise ConvergenceError(
+            "the body neither rests nor turns evenly within the strain of settling: raise settling"
+        )
+    samples = _FIRST
     while True:
-        samples *= 2
-        fine = _of_turn(scene, latest, samples)
+        # Of the turns after the way there, the last one on all samples and on every other one.
+        times = np.concatenate(
+            [np.linspace(turns[n], turns[n + 2], samples, endpoint=False) for n in (0, 2, 4)]
+        )
+        found = then.integrate(np.concatenate([[0.0], times, turns[6:7]]))
+        first, second, fine = (
+            _means(found, slice(1 + n * samples, 1 + (n + 1) * samples)) for n in range(_TURNS)
+        )
+        coarse = _means(found, slice(1 + 2 * samples, 1 + 3 * samples, 2))
         change = _change(fine, coarse)
-        if change <= 0.1 * tolerance or samples >= _LAST:
-            break
-        coarse = fine
-    return {**fine, "error_estimate": change + _change(fine, _of_turn(scene, before, samples))}
+        left = _left(_change(second, first), _change(fine, second))
+        if change <= 0.1 * max(tolerance, left) or samples >= _LAST:
+            return {**fine, "error_estimate": change + left}
+        samples *= 2
 
 
-def _of_turn(scene: Simulation, ends: Array, samples: int) -> dict[str, Array]:
-    """Means over equal steps of the turn between two instants."""
-    times = np.linspace(ends[0], ends[1], samples + 1)
-    return _means(scene.integrate(np.concatenate([[0.0], times])), slice(1, -1))
+def _half_turns(motion: Any) -> Array:
+    """Instants (n,) of the half turns of a motion."""
+    return np.asarray(motion.events.get("half_turns", {}).get("time", np.zeros(0)))
+
+
+def _left(former: float, latter: float) -> float:
+    """What is left to an attractor of changes from turn to turn that fall as powers of a number."""
+    if latter <= _ROUNDING:
+        return latter
+    if latter >= former:
+        raise ConvergenceError(
+            f"the stress changes more from turn to turn ({former:.1e}, then {latter:.1e}): the "
+            f"body comes to no attractor yet; raise settling"
+        )
+    return latter / (1.0 - latter / former)
 
 
 def _means(motion: Any, chosen: slice) -> dict[str, Array]:

@@ -84,6 +84,9 @@ def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
     """The homogeneous flow that a flow is; SceneError where it is none or strains nothing."""
     if flow.degree is None or flow.degree > 1:
         raise SceneError("flow", "is not homogeneous", "a flow of degree 1, such as shear")
+    if not flow.steady:
+        right = "a steady one, which protocol starts, stops or turns back and forth"
+        raise SceneError("flow", "changes in time", right)
     gradient = np.asarray(flow.gradient(np.asarray(position, dtype=np.float64)))
     strain = 0.5 * (gradient + gradient.T)
     rate = float(np.sqrt(2.0 * np.sum(strain * strain)))

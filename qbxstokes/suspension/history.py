@@ -35,8 +35,8 @@ class History:
     def strain(self, times: Array) -> Array:
         """Strain (n,) since time 0; a flow that is stopped then has gone on before."""
         if self.cycle is not None:
-            return np.sin(self.cycle * times) / self.cycle
-        return np.minimum(times, 0.0) if self.protocol == "cessation" else times
+            return np.asarray(np.sin(self.cycle * times) / self.cycle)
+        return np.asarray(np.minimum(times, 0.0) if self.protocol == "cessation" else times)
 
     @property
     def rates(self) -> Array:
