@@ -10,6 +10,7 @@ import pytest
 
 import qbxstokes as qs
 from qbxstokes.errors import CaseError, ContactError
+from qbxstokes.plots.motion import drawings
 
 WALL = {"type": "wall", "normal": [0, 0, 1]}
 PAIR: dict[str, Any] = {
@@ -115,6 +116,9 @@ def test_a_motion_has_the_bodies_behind_the_time_and_is_that_of_python() -> None
     scene = qs.from_case(FALL)
     motion = scene.integrate(np.linspace(0.0, 1.5, 4))
     assert np.array_equal(motion.position, found.position)
+    assert {"scene", "displacement", "velocity", "rotation"} == set(drawings(found))
+    for draw in drawings(found).values():
+        assert draw().axes
     x = [[0, 0, 3], [3, 0, 2]]
     force = [[0, 0, -9], [0, 0, -3]]
     suspension = qs.Suspension([qs.Body(1.0), qs.Body(1.0, size=0.5)], qs.Wall([0, 0, 1]))

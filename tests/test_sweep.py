@@ -167,7 +167,7 @@ def test_blocks_hold_every_trajectory_once_and_one_decade_each(
     ("axis", "told"),
     [
         ({"body.aspect_ration": [1]}, "body.aspect_ration: unknown key; did you mean"),
-        ({"bodi.aspect_ratio": [1]}, "unknown key; did you mean body.aspect_ratio"),
+        ({"bdy.aspect_ratio": [1]}, "unknown key; did you mean body.aspect_ratio"),
         ({"body.stokes_number": [0, -1]}, "is -1 (value 2 of the axis); must be >= 0"),
         ({"body.stokes_number": {"linspace": [0, 1]}}, "add count"),
         ({"body.stokes_number": {"logspace": [0, 1], "count": 3}}, "numbers > 0"),

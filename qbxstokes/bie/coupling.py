@@ -42,8 +42,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Coefficients = Sequence[ComplexArray]
 
-# Error of the squeezing resistance per polar node: exp(-RATE times the rate of the gap), measured.
-RATE = 1.3
+# Measured error of the resistance, relative to its largest entry, with n polar nodes: FACTOR
+# exp(-2 a n) with the rate a of the gap, and FACTOR from 1 to 2000. Discs edge to edge fall slower,
+# by exp(-SLOW a) a node.
+FACTOR, SLOW = 100.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
 # Polar nodes that the grids of an error estimate have less, and the relative error, in tolerances
 # of the problem, that both solutions may have in common.
@@ -127,14 +129,14 @@ def _pair(body: Placed, other: Placed) -> gaps.Gap:
 
 def least_rate(tolerance: float) -> float:
     """The rate of decay of a gap below which MOST_NODES do not serve a relative error."""
-    return math.log(1.0 / tolerance) / (RATE * (MOST_NODES - 1))
+    return math.log(FACTOR / tolerance) / (2.0 * (MOST_NODES - 1))
 
 
 def nodes_for(rate: float, tolerance: float) -> int:
     """Polar nodes for the rate of decay of a gap (see `gaps.Gap`) and a relative error."""
     if rate == np.inf:
         return LEAST_NODES
-    wanted = math.log(1.0 / tolerance) / (RATE * max(rate, 1e-6))
+    wanted = math.log(FACTOR / tolerance) / (2.0 * max(rate, 1e-6))
     # Even numbers, so that few different maps are formed.
     return max(LEAST_NODES, 2 * math.ceil(0.5 * wanted + 0.5))
 
@@ -194,12 +196,12 @@ class Coupled:
     def estimated(self, fine: Array, coarse: Array) -> float:
         """Estimated largest error of what was found here, by what the coarser grids found.
 
-        Errors fall by exp(-RATE times the least rate) a node: near contact, where that is slow,
-        the difference is taken times what remains of it. Besides the solver's tolerance, which
-        both share.
+        Errors fall by exp(-SLOW times the least rate) a node, or faster: near contact, where that
+        is slow, the difference is taken times what remains of it. Besides the solver's tolerance,
+        which both share.
         """
         rate = float(closest(self.bodies, self.wall)[2].min())
-        left = math.exp(-_LESS * RATE * rate)
+        left = math.exp(-_LESS * SLOW * rate)
         change = float(np.abs(fine - coarse).max(initial=0.0))
         if change == 0.0:  # what is given, not found
             return 0.0

@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from qbxstokes.plots import style
+import numpy as np
+
+from qbxstokes.plots import bodies, style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
 from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.series import Panel, moves, panels
@@ -80,6 +82,8 @@ _STACKS = {
 }
 _ALL = ("position", "velocity", *_ROTATION, "orbit_constant", "force", "torque")
 KINDS: dict[str, str] = {
+    "scene": "paths and outlines of bodies that share a fluid, and the wall",
+    "displacement": "displacement of each of several bodies",
     "orbit": "path of the axis on the unit sphere",
     "rotation": "axis, Euler angles and angular velocity against time",
     "constant": "orbit constant and its drift",
@@ -96,7 +100,9 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
     A picture is left out where its quantity is not in the file or does nothing: the path of a
     centre at rest, the force on a massless body.
     """
-    found: dict[str, Callable[[], Figure]] = {}
+    found: dict[str, Callable[[], Figure]] = bodies.drawings(result) if _coupled(result) else {}
+    if np.ndim(result.arrays.get("position")) == 3:
+        return found
     if "axis" in result.arrays:
         found["orbit"] = partial(orbit_figure, result)
     if moves(result):
@@ -110,6 +116,10 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
     if note := sampling(result):
         found = {kind: partial(_noted, draw, note) for kind, draw in found.items()}
     return {kind: found[kind] for kind in KINDS if kind in found}
+
+
+def _coupled(result: ResultLike) -> bool:
+    return "position" in result.arrays and bodies.coupled(result)
 
 
 def _noted(draw: Callable[[], Figure], note: str) -> Figure:

@@ -72,6 +72,8 @@ def turn_between(result: ResultLike) -> float:
     """
     if not is_motion(result) or "axis" not in result.arrays or len(result.arrays["time"]) < 2:
         return 0.0
+    if result.arrays["axis"].ndim == 3:  # of several bodies, drawn as they are
+        return 0.0
     times, axis = instants(result), samples(result, "axis", 3)
     spin = vectors(result, "angular_velocity")
     if spin is None:

@@ -1,0 +1,165 @@
+"""Bodies that share a fluid, or one by a wall: their paths with outlines, and their motion in time.
+
+Arrays are (T, N, ...), of a single body (T, ...).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import ResultFileError, SceneError
+from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
+from qbxstokes.plots import style
+from qbxstokes.plots.path import plane_of_motion
+from qbxstokes.plots.series import draw_lines
+from qbxstokes.plots.source import ResultLike, instants, resolved_case, units
+from qbxstokes.quantities import MOTION
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+_NOISE = 1e-10  # of the largest component: nothing but rounding
+_MANY = 7  # bodies that are told apart by name
+_KINDS = {"displacement": "position", "velocity": "velocity", "rotation": "axis"}
+
+
+def coupled(result: ResultLike) -> bool:
+    """Whether the result is a motion of several bodies, or of one by a wall."""
+    case = resolved_case(result)
+    around = case.get("surroundings") or {}
+    return bool(case.get("bodies")) or around.get("type") == "wall"
+
+
+def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+    """Kind and drawing of each picture; of a single body its paths alone."""
+    found: dict[str, Callable[[], Figure]] = {}
+    if {"position", "axis"} <= set(result.arrays):
+        found["scene"] = partial(scene_figure, result)
+    if result.arrays["position"].ndim == 3:
+        for kind, name in _KINDS.items():
+            if name in result.arrays:
+                found[kind] = partial(series_figure, result, name)
+    return found
+
+
+def scene_figure(result: ResultLike) -> Figure:
+    """The paths in the plane of motion, true to scale, with outlines at the start and the end."""
+    figure = style.new_figure(style.PAGE, 4.0)
+    _draw_scene(figure.add_subplot(), result)
+    return figure
+
+
+def series_figure(result: ResultLike, name: str) -> Figure:
+    """The components of a vector of every body against time; of the position the displacement."""
+    times, values = instants(result), _by_body(result, name)
+    if name == "position":
+        values = values - values[0]
+    size = np.abs(values)
+    values = np.where(size > _NOISE * np.nanmax(size, initial=0.0), values, 0.0)
+    about = MOTION[name]
+    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * 3)
+    panels = figure.subplots(3, 1, sharex=True)
+    for component, axes in enumerate(panels):
+        shown = values[:, :_MANY, component]
+        draw_lines(axes, times, [(f"body {b + 1}", shown[:, b]) for b in range(shown.shape[1])])
+        symbol = rf"\Delta {about.symbols[component]}" if name == "position" else None
+        style.set_ylabel(axes, f"${symbol or about.symbols[component]}$", units(result, name))
+        if component:
+            legend = axes.get_legend()
+            if legend is not None:
+                legend.remove()
+        if component < 2:
+            axes.set_xlabel("")
+    style.letter_panels(list(panels))
+    figure.align_ylabels(list(panels))
+    return figure
+
+
+def _by_body(result: ResultLike, name: str) -> Array:
+    """Samples (T, N, 3); raises ResultFileError for other shapes."""
+    values = np.asarray(result.arrays[name], dtype=np.float64)
+    values = values[:, None] if values.ndim == 2 else values
+    if values.ndim != 3 or values.shape[2] != 3 or len(values) != len(result.arrays["time"]):
+        raise ResultFileError(f"{result.path}: {name} has shape {values.shape}, not (T, N, 3)")
+    return values
+
+
+def _outlines(result: ResultLike, count: int) -> list[tuple[Any, float]]:
+    """Shape and size of every body; raises ResultFileError where the file does not say."""
+    case = resolved_case(result)
+    entries = case.get("bodies") or [case.get("body") or {}]
+    try:
+        found = [
+            (build_shape(**{name: entry.get(name) for name in SHAPE_KEYS}), entry.get("size", 1.0))
+            for entry in entries
+        ]
+    except (SceneError, TypeError, AttributeError):
+        found = []
+    if len(found) != count:
+        raise ResultFileError(f"{result.path}: does not say the shapes of the bodies")
+    return found
+
+
+def _draw_scene(axes: Axes, result: ResultLike) -> None:
+    position, axis = _by_body(result, "position"), _by_body(result, "axis")
+    whole = np.flatnonzero(np.isfinite(position).all(axis=(1, 2)))
+    position, axis = position[whole], axis[whole]
+    along, across = _plane(result, position)
+    bodies = _outlines(result, position.shape[1])
+    for b, (shape, size) in enumerate(bodies):
+        look = style.line_style(b)
+        path = position[:, b, [along, across]]
+        name = f"body {b + 1}" if len(bodies) > 1 and b < _MANY else None
+        axes.plot(*path.T, label=name, **look)
+        for place, filled in ((0, False), (-1, True)):
+            edge = path[place] + _edge(shape, size, axis[place, b], [along, across])
+            face = look["color"] if filled else "white"
+            axes.fill(*edge.T, facecolor=face, edgecolor=look["color"], alpha=0.5, linewidth=0.8)
+    _draw_wall(axes, result, along, across)
+    parts = MOTION["position"].symbols
+    axes.set_xlabel(style.label(f"${parts[along]}$", units(result, "position")))
+    axes.set_ylabel(style.label(f"${parts[across]}$", units(result, "position")))
+    axes.set_aspect("equal", adjustable="datalim")
+    if len(bodies) > 1:
+        style.legend_above(axes)
+
+
+def _plane(result: ResultLike, position: Array) -> tuple[int, int]:
+    """The coordinates that are drawn: those in which paths extend, and the wall's normal."""
+    first, second = plane_of_motion(position.reshape(-1, 3))
+    around = resolved_case(result).get("surroundings") or {}
+    if around.get("type") == "wall":
+        normal = int(np.argmax(np.abs(around["normal"])))
+        first = second if first == normal else first
+        return first, normal
+    return first, second
+
+
+def _edge(shape: Any, size: float, axis: Array, plane: list[int]) -> Array:
+    """Outline (n, 2) of a body seen along the third axis: x = C m/sqrt(m C m) over directions m."""
+    extent = size**2 * shape.extent(axis / np.linalg.norm(axis))
+    matrix = extent[np.ix_(plane, plane)]
+    turn = np.linspace(0.0, 2.0 * np.pi, 91)
+    m = np.stack([np.cos(turn), np.sin(turn)])
+    return np.asarray((matrix @ m / np.sqrt(np.einsum("ik,ij,jk->k", m, matrix, m))).T)
+
+
+def _draw_wall(axes: Axes, result: ResultLike, along: int, across: int) -> None:
+    """The wall where the plane that is drawn holds its normal."""
+    around = resolved_case(result).get("surroundings") or {}
+    if around.get("type") != "wall":
+        return
+    normal, point = np.array(around["normal"]), np.array(around["point"])
+    flat = normal[[along, across]] / np.linalg.norm(normal)
+    if np.linalg.norm(flat) < 1.0 - 1e-9:
+        return
+    foot = (point @ normal / np.linalg.norm(normal)) * flat
+    axes.axline(foot, foot + np.array([-flat[1], flat[0]]), color=style.BLACK, linewidth=1.5)
