@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from qbxstokes.plots import bodies, style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
 from qbxstokes.plots.path import draw_path
@@ -101,7 +99,7 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
     centre at rest, the force on a massless body.
     """
     found: dict[str, Callable[[], Figure]] = bodies.drawings(result) if _coupled(result) else {}
-    if np.ndim(result.arrays.get("position")) == 3:
+    if "position" in result.arrays and result.arrays["position"].ndim == 3:
         return found
     if "axis" in result.arrays:
         found["orbit"] = partial(orbit_figure, result)
