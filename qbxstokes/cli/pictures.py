@@ -287,10 +287,11 @@ def _file(options: argparse.Namespace, formats: Iterable[str]) -> Path | None:
 def _usage(command: str) -> str:
     if command != "plot":
         return ANIMATE_USAGE if command == "animate" else EXPORT_USAGE
-    from qbxstokes.plots.motion import KINDS
+    from qbxstokes.plots import bodies, motion
 
+    kinds = {**motion.KINDS, **bodies.KINDS}
     return PLOT_USAGE.format(
-        motion=textwrap.indent("".join(f"{kind:20}{text}\n" for kind, text in KINDS.items()), "  ")
+        motion=textwrap.indent("".join(f"{kind:20}{text}\n" for kind, text in kinds.items()), "  ")
     )
 
 

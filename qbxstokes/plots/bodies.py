@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 
 _NOISE = 1e-10  # of the largest component: nothing but rounding
 _MANY = 7  # bodies that are told apart by name
+KINDS: dict[str, str] = {
+    "scene": "paths and outlines of several bodies, or of one by a wall",
+    "displacement": "displacement of each of several bodies",
+}
 _KINDS = {"displacement": "position", "velocity": "velocity", "rotation": "axis"}
 
 

@@ -80,8 +80,6 @@ _STACKS = {
 }
 _ALL = ("position", "velocity", *_ROTATION, "orbit_constant", "force", "torque")
 KINDS: dict[str, str] = {
-    "scene": "paths and outlines of bodies that share a fluid, and the wall",
-    "displacement": "displacement of each of several bodies",
     "orbit": "path of the axis on the unit sphere",
     "rotation": "axis, Euler angles and angular velocity against time",
     "constant": "orbit constant and its drift",
@@ -113,7 +111,7 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
         found["overview"] = partial(overview_figure, result)
     if note := sampling(result):
         found = {kind: partial(_noted, draw, note) for kind, draw in found.items()}
-    return {kind: found[kind] for kind in KINDS if kind in found}
+    return {kind: found[kind] for kind in (*bodies.KINDS, *KINDS) if kind in found}
 
 
 def _coupled(result: ResultLike) -> bool:
