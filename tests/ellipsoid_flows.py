@@ -65,9 +65,7 @@ def _dipoles(k, x):
             if j == k_:
                 u[number, :, i] += 2.0 * x[:, i] * w_ij[i][j]
         edge = mass / ((squares[k_] + lam) * delta)
-        p[number] = (2.0 * x[:, k_] * rise[:, j] * edge - 2.0 * (j == k_) * i_k[:, k_]) / (
-            4 * np.pi
-        )
+        p[number] = 2.0 * x[:, k_] * rise[:, j] * edge - 2.0 * (j == k_) * i_k[:, k_]
     return -u / (8.0 * np.pi), p / (4.0 * np.pi)
 
 

@@ -47,7 +47,8 @@ class ExteriorField:
     velocity: (N, 3) on the grid, without net flux. degree: of it as a polynomial, None if it is
     none; the table then holds no degree that could only be rounding. boundary: the velocity
     at any points (N, 3) of the surface, where it is known. potentials: layers whose potentials the
-    field is.
+    field is. tolerance: of values, unless `evaluate` is told another. data_error:
+    relative error of the velocity itself.
     """
 
     grid: SurfaceGrid
@@ -55,6 +56,8 @@ class ExteriorField:
     degree: int | None = None
     boundary: Velocity | None = field(default=None, repr=False)
     potentials: LayerPotentials | None = field(default=None, repr=False)
+    tolerance: float = 1e-8
+    data_error: float = 0.0
 
     @cached_property
     def table(self) -> ExteriorFlow:
@@ -71,7 +74,7 @@ class ExteriorField:
         self,
         points: Array,
         what: Collection[str] = ("velocity",),
-        tolerance: float = 1e-8,
+        tolerance: float | None = None,
         method: Method = "auto",
     ) -> dict[str, NDArray[Any]]:
         """Some of WHAT at points (N, 3), each in the way its tolerance asks for.
@@ -85,6 +88,7 @@ class ExteriorField:
         within the tolerance. Raises FlowError where it is not and there is no density to be summed.
         """
         points = np.asarray(points, dtype=float)
+        tolerance = self.tolerance if tolerance is None else tolerance
         if method == "quadrature":
             found, used = self._layers.evaluate(points, tolerance)
             return {name: found[name] for name in what} | {"source": used}
@@ -167,7 +171,7 @@ class ExteriorField:
         if self.boundary is not None:
             return float(np.abs(table - self.boundary(self._probes)).max())
         other = self._other.evaluate(self._probes)["velocity"]
-        return _LEFT_OUT * float(np.abs(table - other).max())
+        return _LEFT_OUT * float(np.abs(table - other).max()) + self.data_error * self.scale
 
     @cached_property
     def errors(self) -> dict[str, float]:
@@ -185,7 +189,7 @@ class ExteriorField:
         size["pressure"] += size["gradient"]
         size["pressure_gradient"] += size["gradient"] / self.grid.shape.radius
         thin = self.grid.shape.radius / self.grid.shape.least_radius
-        rounding = _ROUNDING * (3.0 + thin)
+        rounding = _ROUNDING * (3.0 + thin) + self.data_error
         safety = _LEFT_OUT if self.boundary is None else _FINER
         change = {name: safety * float(np.abs(own[name] - other[name]).max()) for name in WHAT}
         if not change["velocity"] <= _UNKNOWN * self.scale:

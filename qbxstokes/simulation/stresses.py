@@ -30,7 +30,7 @@ from qbxstokes.simulation.hydrodynamics import (
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
-    from qbxstokes.simulation.body import Body
+    from qbxstokes.simulation.formed import FormedBody
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ _FLOW_SHARE = 0.1
 
 
 def form_stresslet(
-    body: Body, workshop: Workshop | None = None, solvers: list[Any] | None = None
+    body: FormedBody, workshop: Workshop | None = None, solvers: list[Any] | None = None
 ) -> Stresslet:
     """The stresslet of a body to its tolerance, from the cache if it is there; raises as `Body`.
 
@@ -94,7 +94,7 @@ class FreeStress:
     By the table of a polynomial flow of degree <= 3, otherwise by the functional on a grid.
     """
 
-    def __init__(self, body: Body, flow: Flow, stresslet: Stresslet) -> None:
+    def __init__(self, body: FormedBody, flow: Flow, stresslet: Stresslet) -> None:
         self.stresslet, self._flow, axes = stresslet, flow, body.shape.semi_axes
         self._polynomial: PolynomialFlow | None = None
         # Third derivatives enter by the volume average of an ellipsoid.
