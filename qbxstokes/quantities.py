@@ -172,6 +172,8 @@ velocity             | u      | c/tau  | velocity of the fluid                  
 disturbance_velocity | u'     | c/tau  | velocity minus that of the background flow     | vector
 pressure             | p      | mu/tau | pressure, with that of the background flow
 stress               | \sigma | mu/tau | stress tensor                                  | tensor
+gradient             | \nabla u | 1/tau | velocity gradient, d u_i / d x_j               | square
+pressure_gradient    | \nabla p | mu/(c tau) | gradient of the pressure                   | vector
 """)
 POINT = _table("""
 points | x | c | points                                                                | vector

@@ -28,6 +28,7 @@ Pair = Annotated[tuple[int, int], several(_COUNT, "[201, 201]")]
 Triple = Annotated[tuple[int, int, int], several(_COUNT, "[41, 41, 41]")]
 Rectangle = Annotated[tuple[float, float, float, float], several(number(), "[-3, 3, -3, 3]")]
 Samples = Annotated[int, whole(ge=2, le=1_000_000)]
+_USUAL = ("velocity", "disturbance_velocity", "pressure", "stress")
 
 
 class Plane(Section):
@@ -134,7 +135,7 @@ class FieldSection(Section):
     streamlines: Streamlines | None = key("streamlines", None)
     tracers: Tracers | None = key("paths of tracers", None)
     quantities: Annotated[tuple[str, ...], some(choice(*FLUID))] = key(
-        "quantities to store at the points", tuple(FLUID)
+        "quantities to store at the points; also gradient, pressure_gradient", _USUAL
     )
     tolerance: Tolerance = key("error of the velocity, relative to the largest disturbance", 1e-8)
     method: Literal["auto", "table", "quadrature"] = key(

@@ -95,6 +95,8 @@ def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, 
         array = values[step]
         if key == "stress":
             array = array[:, _ORDER_OF_STRESS]
+        if array.ndim > 2:  # tensors, row by row
+            array = array.reshape(len(array), -1)
         data[key] = array.astype(np.uint8) if array.dtype == bool else array
     if "inside" in data:
         cells = cells[~data["inside"].astype(bool)[cells].any(axis=1)]
