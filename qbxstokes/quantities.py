@@ -97,6 +97,7 @@ _KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]]
     "stresses": ("space", (6,), _PAIRS, ()),
     "matrix": ("body", (6, 6), (), ()),
     "square": ("space", (3, 3), (), ()),
+    "nine": ("space", (3, 3), tuple(f"{i}{j}" for i in "123" for j in "123"), ()),
     "axes": ("space", (3,), (), ()),
     "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
     "four": ("", (4,), ("0", "1", "2", "3"), ()),
@@ -172,7 +173,7 @@ velocity             | u      | c/tau  | velocity of the fluid                  
 disturbance_velocity | u'     | c/tau  | velocity minus that of the background flow     | vector
 pressure             | p      | mu/tau | pressure, with that of the background flow
 stress               | \sigma | mu/tau | stress tensor                                  | tensor
-gradient             | \nabla u | 1/tau | velocity gradient, d u_i / d x_j               | square
+gradient             | \nabla u | 1/tau | velocity gradient, d u_i / d x_j               | nine
 pressure_gradient    | \nabla p | mu/(c tau) | gradient of the pressure                   | vector
 """)
 POINT = _table("""
