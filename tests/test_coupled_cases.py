@@ -164,3 +164,19 @@ def test_inertia_follows_the_drag() -> None:
     motion = scene.integrate(times)
     rate = 4.5 / 2.0
     assert np.allclose(motion.velocity[:, 0, 2], np.exp(-rate * times) - 1.0, atol=3e-5)
+
+
+def test_a_stokeslet_with_its_images_drives_a_small_body_as_the_fluid_there() -> None:
+    push = {"type": "stokeslet", "strength": [1.0, 2.0, 0.5], "position": [0.3, 1.0, 0.0]}
+    flow = qs.flow("above_wall", flow=push)
+    rng = np.random.default_rng(0)
+    plane = rng.normal(size=(20, 3)) * [1, 0, 1]
+    assert np.abs(flow.velocity(plane)).max() == 0.0
+    # Blake (1971): far along the wall a stokeslet along it leaves 12 h^2 x^2 y/(8 pi x^5).
+    along = qs.flow("above_wall", flow={**push, "strength": [1, 0, 0], "position": [0, 0.5, 0]})
+    x, y = 60.0, 0.7
+    exact = 12.0 * 0.5 * y * x * x / (8.0 * np.pi * x**5)
+    assert along.velocity([x, y, 0.0])[0] == pytest.approx(exact, rel=2e-3)
+    small = qs.Suspension([qs.Body(0.5, size=0.02)], qs.Wall(), tolerance=1e-4)
+    u, _ = small.free_motion(flow, [[2.0, 1.0, 0.0]])
+    assert np.allclose(u[0], flow.velocity([2.0, 1.0, 0.0]), atol=2e-6)

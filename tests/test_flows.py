@@ -67,6 +67,12 @@ SPECS = [
         ],
     },
     {"type": "transformed", "flow": {"type": "shear"}, "factor": -2.0},
+    {"type": "wall_stagnation", "rate": 0.5},
+    {"type": "wall_stagnation", "kind": "planar"},
+    {
+        "type": "above_wall",
+        "flow": {"type": "stokeslet", "strength": [1.0, 2.0, 0.0], "position": [0.0, 4.0, 0.0]},
+    },
 ]
 IDS = [spec["type"] + str(n) for n, spec in enumerate(SPECS)]
 

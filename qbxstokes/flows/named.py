@@ -142,6 +142,28 @@ class Paraboloid(PolynomialFlow):
         self._spec = {"type": self.type_name, "curvature": kept}
 
 
+class WallStagnation(PolynomialFlow):
+    """Fluid that meets the wall x2 = 0, at rest on it: rate (x1 x2, -x2^2, x2 x3), or planar.
+
+    planar: rate (2 x1 x2, -x2^2, 0).
+    """
+
+    type_name = "wall_stagnation"
+
+    def __init__(self, rate: float = 1.0, kind: str = "axisymmetric") -> None:
+        """Raises FlowError for an unknown kind."""
+        shares = {"axisymmetric": (1.0, 1.0), "planar": (2.0, 0.0)}
+        if kind not in shares:
+            raise FlowError(f"kind is {kind!r}; one of {', '.join(shares)}", ("kind",))
+        strength = number(rate, "rate")
+        hessian = np.zeros((3, 3, 3))
+        hessian[1, 1, 1] = -2.0
+        for i, share in zip((0, 2), shares[kind], strict=True):
+            hessian[i, i, 1] = hessian[i, 1, i] = share
+        super().__init__(hessian=strength * hessian)
+        self._spec = {"type": self.type_name, "rate": strength, "kind": kind}
+
+
 class PlanePoiseuille(PolynomialFlow):
     """Flow between plates at x2 = +-half_width: u = speed (1 - x2^2/half_width^2) e1."""
 

@@ -17,8 +17,10 @@ from qbxstokes.flows.named import (
     Shear,
     TubePoiseuille,
     Uniform,
+    WallStagnation,
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.reflected import AboveWall
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths
@@ -33,10 +35,12 @@ REGISTRY: dict[str, type[Flow]] = {
     "paraboloid": Paraboloid,
     "plane_poiseuille": PlanePoiseuille,
     "tube_poiseuille": TubePoiseuille,
+    "wall_stagnation": WallStagnation,
     "polynomial": PolynomialFlow,
     "stokeslet": Stokeslet,
     "rotlet": Rotlet,
     "stresslet": Stresslet,
+    "above_wall": AboveWall,
     "sum": SumFlow,
     "transformed": TransformedFlow,
     "user": UserFlow,
