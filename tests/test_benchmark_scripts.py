@@ -117,9 +117,8 @@ def test_skips() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["command", "sweeps"])
-def test_what_is_only_timed_is_timed(name: str) -> None:
-    small(name)
+def test_what_is_only_timed_is_timed() -> None:
+    small("command")
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("*.yaml")))

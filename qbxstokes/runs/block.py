@@ -21,9 +21,10 @@ from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.quantities import COLUMNS, RECORDABLE, Quantity
 from qbxstokes.runs.gathering import Gathering, Item
-from qbxstokes.runs.scenes import STOKES
+from qbxstokes.runs.scenes import STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.from_case import Starts, orbit_ratio, start_quaternion
+from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.from_case import Starts, orbit_ratio, simulation_of, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
@@ -66,6 +67,12 @@ def empty_result(
         {name: np.full((n, len(times), *about(name).shape), np.nan) for name in quantities},
         times,
     )
+
+
+def lanes_of(scenes: Scenes, number: int, index: Indices, body: Body | None = None) -> Simulation:
+    """Some trajectories of a scene as the lanes of a simulation; body: formed before."""
+    loaded = scenes.scene(number).loaded
+    return simulation_of(loaded, body, starts_of(loaded, scenes.space.values(index), len(index)))
 
 
 def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:

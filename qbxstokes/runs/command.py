@@ -151,12 +151,18 @@ def carry_out(job: Job) -> int:
             from qbxstokes.runs.summary import plan_facts, plan_text, summary_text
         from qbxstokes.runs.summary import missed, remarks
 
+    job.start()
     if job.comm.rank == 0 and (options.dry_run or (options.explain and not options.json)):
-        facts = {"case": str(loaded.path), "plan": plan_facts(job.plan, job.target)}
-        job.tell(facts, lambda: plan_text(loaded, job.plan, job.target))
+        from qbxstokes.runs.cost import seconds_of
+
+        seconds = seconds_of(loaded, job.plan) if options.dry_run else None
+        facts = plan_facts(job.plan, job.target, seconds)
+        job.tell(
+            {"case": str(loaded.path), "plan": facts},
+            lambda: plan_text(loaded, job.plan, job.target, seconds),
+        )
     if options.dry_run:
         return 0
-    job.start()
     run: Callable[[Job], dict[str, Any]]
     with job.clock.part("import"):
         if loaded.case.coupled:

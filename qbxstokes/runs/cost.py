@@ -1,91 +1,55 @@
-"""What a sweep costs: time, memory, and how it scales with the number of ranks.
+"""What a run costs before it is begun: time, memory, and how a sweep scales with the ranks.
 
     T(P) = models/min(P, bodies) + (integration + output)/P + hand-out + last block/2 + layout
 
-with integration = blocks x fixed + trajectories x right-hand sides x time of one. Right-hand sides
-are those that the integrator itself forecasts (motion/forecast.py) for the first trajectory of a
-scene with the smallest Stokes number of its block, and a step more for each sample; steps of
-implicit methods count as so many. Resistances are those of the closed forms.
-One rank lays the file out and serves the hand-out, to one rank after another. Start-up is left out,
-and so is what a file system shared by many nodes adds.
+The integration is measured: a few blocks of the sweep are begun, each for a fraction of a second,
+and what that took is carried on to their end. Between them the cost goes as the right-hand sides
+that the integrator itself forecasts (motion/forecast.py) for the first trajectory of a scene with
+the smallest Stokes number of its block. Flows are the user's own, functions included; bodies in
+polynomial flows are those of closed forms. One rank lays the file out and serves the hand-out, to
+one rank after another. Start-up is left out, and so is what a file system of many nodes adds.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from qbxstokes.flows import Flow
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.runs.block import lanes_of
+from qbxstokes.runs.field_targets import instant_of, targets_of
+from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
+from qbxstokes.simulation.around import AroundBody
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.exact import exact_model
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
 
-# Bodies from which on some of a block need shorter steps than its first.
-SEVERAL = 8
-# About how many points of a surface a flow that is not polynomial is asked for.
-SURFACE_POINTS = 72
+Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Constants:
-    """Processor times on one core (s), and steps over those that are forecast.
-
-    rhs_*: per trajectory and right-hand side, massless and inertial, by degree of the polynomial
-    flow (constant or linear, quadratic, cubic), and in any other flow, without what its own
-    function takes (`flow_seconds`); centred: in a linear flow in which no body leaves its place.
-    call: per right-hand side of a block, whatever it holds; call_general: in a flow that is not
-    polynomial. steps_*: of a block of several bodies over the forecast for one.
-    sample: per sample of a trajectory. block_sample: per sample of a block. block: case, plan,
-    integrators and averages of a block. stored_byte: of the result. handout: of a block, one after
-    another. layout: per trajectory, on one rank. model: of a body's hydrodynamics.
-    """
-
-    rhs_massless_centred: float = 4.5e-8
-    rhs_massless_linear: float = 6e-8
-    rhs_massless_quadratic: float = 1.0e-7
-    rhs_massless_cubic: float = 1.3e-7
-    rhs_inertial_centred: float = 6e-8
-    rhs_inertial_linear: float = 1.3e-7
-    rhs_inertial_quadratic: float = 1.5e-7
-    rhs_inertial_cubic: float = 1.6e-7
-    rhs_general: float = 3.5e-5
-    call: float = 3e-6
-    call_general: float = 7e-4
-    steps_massless: float = 2.0
-    steps_inertial: float = 1.6
-    sample: float = 1e-6
-    block_sample: float = 5e-5
-    block: float = 5e-3
-    stored_byte: float = 1.5e-9
-    handout: float = 3e-6
-    layout: float = 1.2e-6
-    model: float = 0.2
-
-    def rhs(self, inertial: bool, degree: int | None, centred: bool = False) -> float:
-        """Seconds per trajectory and right-hand side in a flow of some degree (None: any flow)."""
-        if degree is None or degree > 3:
-            return self.rhs_general
-        kind = "inertial" if inertial else "massless"
-        linear = "centred" if centred else "linear"
-        name = (linear, linear, "quadratic", "cubic")[degree]
-        return float(getattr(self, f"rhs_{kind}_{name}"))
-
-    def steps(self, inertial: bool) -> float:
-        """Steps of a block of several bodies over the forecast for one."""
-        return self.steps_inertial if inertial else self.steps_massless
-
-
-# On a 2 GHz Intel Xeon (Sapphire Rapids); the benchmark table `sweep_constants` measures them.
-XEON = Constants()
-BASE_MEMORY = 220e6
+# Processor times on one core of a 2 GHz Xeon (s): of a body's hydrodynamics; of case, plan and
+# integrators of a block; of a byte of the result; of handing out a block, one after another; of a
+# trajectory in the layout, on one rank.
+MODEL, BLOCK, STORED_BYTE, HANDOUT, LAYOUT = 0.2, 5e-3, 1.5e-9, 3e-6, 1.2e-6
 # Start of MPI and PETSc, imports and loading of compiled kernels, which the model leaves out.
 START_SECONDS = 2.0
+BASE_MEMORY = 220e6
+# A right-hand side of a block takes as long as those of so many trajectories, whatever it holds.
+LANES_OF_A_CALL = 50
+# Blocks that are begun, for how long each, and about how much work lies between looks at the clock
+# (s); steps that tell how many are to come; samples and points that tell what each takes.
+BEGUN, BUDGET, LOOK = 4, 0.25, 0.03
+TELLING, SAMPLED, POINTS = 60, 50, 2000
 
 
 @dataclass(frozen=True)
@@ -122,32 +86,27 @@ class Estimate:
         }
 
 
-def scene_weight(scenes: Scenes, number: int, constants: Constants = XEON) -> float:
-    """Right-hand sides that one trajectory of a scene will take."""
+# -- what is forecast -----------------------------------------------------------------------------
+
+
+def forecast(scene: Simulation, times: Array, stokes_number: float) -> float:
+    """Right-hand sides that the first lane of a scene will take with that Stokes number."""
     from qbxstokes.motion.forecast import STAGES, Forecast
 
-    scene, members = scenes.scene(number), scenes.first_members(number)
-    simulation, times = scene.plan.simulation, scene.plan.times
-    values = scenes.space.values(members)
-    stokes_number = float(np.min(values.get(STOKES, scene.loaded.case.body.stokes_number)))
-    body = simulation.body.with_inertia(stokes_number, simulation.body.inertia)
     alone = Simulation(
-        body,
-        simulation.flow,
-        position=simulation.position[0],
-        orientation=simulation.quaternion[0],
-        tolerance=simulation.tolerance,
+        scene.body.with_inertia(stokes_number, scene.body.inertia),
+        scene.flow,
+        position=scene.position[0],
+        orientation=scene.quaternion[0],
+        tolerance=scene.tolerance,
     )
     assembled = assemble([alone], checked=True, maker=_exact)
-    forecast = Forecast(
-        assembled.equations, 0.0, assembled.initial, float(times[-1]), simulation.tolerance
-    )
-    method = forecast.method
-    kind = "rk" if method in ("5dp", "8vr") else method
-    crowd = constants.steps(stokes_number > 0) if len(members) >= SEVERAL else 1.0
+    end = float(times[-1])
+    told = Forecast(assembled.equations, 0.0, assembled.initial, end, scene.tolerance)
+    method = told.method
     # The other formulas have an interpolant as good as their steps.
     sampled = STAGES * len(times) if method == "8vr" else 0
-    return crowd * forecast.evaluations(kind) + sampled
+    return told.evaluations("rk" if method in ("5dp", "8vr") else method) + sampled
 
 
 def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
@@ -159,61 +118,140 @@ def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
     return Hydrodynamic(exact_model(scene.body.shape) or scene.body.model, near)
 
 
-def weights(scenes: Scenes, constants: Constants = XEON, most: int = 200) -> np.ndarray:
+def weights(scenes: Scenes, most: int = 200) -> Array:
     """Right-hand sides per trajectory of every scene; those of a sample where there are many."""
-    from qbxstokes.errors import QbxStokesError
-
     known = np.unique(np.linspace(0, scenes.size - 1, min(scenes.size, most)).astype(int))
     values = []
     for number in known.tolist():
         try:
-            values.append(scene_weight(scenes, number, constants))
+            scene, members = scenes.scene(number), scenes.first_members(number)
+            given = scenes.space.values(members).get(STOKES, scene.loaded.case.body.stokes_number)
+            plan = scene.plan
+            values.append(forecast(plan.simulation, plan.times, float(np.min(given))))
         except QbxStokesError:  # told again, with its trajectories, when its turn comes
             values.append(1.0)
     return np.asarray(np.interp(np.arange(scenes.size), known, values))
 
 
-def flow_seconds(flow: Flow, place: np.ndarray) -> float:
-    """What a flow's own function takes for one body at a right-hand side, measured now (s)."""
-    points = np.tile(place, (16 * SURFACE_POINTS, 1))
-    best = float("inf")
-    for _ in range(3):
-        begin = time.perf_counter()
-        flow.velocity(points, 0.0)
-        best = min(best, time.perf_counter() - begin)
-    return best / 16.0
-
-
-def block_seconds(scenes: Swept, constants: Constants = XEON) -> np.ndarray:
-    """Integration time of every block."""
+def block_weights(scenes: Swept) -> Array:
+    """What every block costs, in right-hand sides of one trajectory."""
     if not isinstance(scenes, Scenes):
-        return np.full(scenes.blocks, scenes.turns * constants.model)
-    case, flow = scenes.loaded.case, scenes.loaded.flow
-    seconds = constants.rhs(case.body.stokes_number > 0, flow.degree, scenes.centred)
-    call = constants.call
-    if flow.degree is None or flow.degree > 3:
-        call = constants.call_general
-        seconds += flow_seconds(flow, scenes.scene(0).plan.simulation.position[0])
-    calls = weights(scenes, constants)[scenes.scene_of_block()]
-    fixed = constants.block + scenes.samples * constants.block_sample
-    once = fixed + calls * (scenes.block_sizes() * seconds + call)
-    return np.asarray(scenes.turns * once)
+        return np.ones(scenes.blocks)
+    calls = weights(scenes)[scenes.scene_of_block()]
+    return np.asarray(calls * (scenes.block_sizes() + LANES_OF_A_CALL))
 
 
-def estimate(scenes: Swept, row_bytes: int, constants: Constants = XEON) -> Estimate:
-    """Cost of the whole sweep."""
-    sizes, per_block = scenes.block_sizes(), block_seconds(scenes, constants)
+# -- what is measured -----------------------------------------------------------------------------
+
+
+def begun(
+    parts: Sequence[Simulation], times: Array, quantities: tuple[str, ...], **settings: Any
+) -> float:
+    """Seconds that an integration takes, from what its first steps and samples take.
+
+    settings: of `assemble`.
+    """
+    settings |= {"maker": _exact} if parts[0].kind == "table" else {}
+    assembled = assemble(parts, checked=True, **settings)
+    # In the first of two kernels are loaded, or compiled.
+    return min(_carried_on(LaneRun.of(assembled, times), quantities) for _ in range(2))
+
+
+def _carried_on(run: LaneRun, quantities: tuple[str, ...]) -> float:
+    """Seconds of a whole run, of which the first are done here."""
+    start, assembled, times = time.process_time(), run.assembled, run.times
+    run.go(
+        interrupted=lambda: run.checkpoint is not None and time.process_time() > start + BUDGET,
+        chunk_steps=assembled.steps_of(LOOK),
+        chunk_samples=len(times) + 1,
+    )
+    reached, spent = run.checkpoint, time.process_time() - start
+    if reached is None or reached.time == 0.0:  # all have met an edge of their flow at once
+        return spent
+    if reached.time < times[-1] and reached.steps < TELLING:
+        first = assembled.parts[0]
+        expected = forecast(first, times, float(first.stokes_number.min()))
+        return spent / reached.evaluations * expected
+    return spent * float(times[-1]) / reached.time + _sampling(run, quantities)
+
+
+def _sampling(run: LaneRun, quantities: tuple[str, ...]) -> float:
+    """Seconds for the quantities and averages of all samples, from those of the first."""
+    assert run.checkpoint is not None
+    some = min(run.checkpoint.next_sample, SAMPLED)
+    if some < 2:
+        return 0.0
+    first = replace(run, times=run.times[:some], states=run.states[:some], ended={})
+    begin = time.process_time()
+    run.assembled.averages(first.times, first.samples(quantities))
+    return (time.process_time() - begin) * len(run.times) / some
+
+
+def motion_seconds(plan: MotionPlan) -> float:
+    """What a single motion takes after the start, without a comparison and without a field."""
+    return MODEL + begun([plan.simulation], plan.times, plan.quantities)
+
+
+def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
+    """What the points of `task: field` take after the start, from the set-up and some of them."""
+    section, begin, body = loaded.case.field, time.process_time(), plan.simulation.body
+    assert section is not None
+    instant = instant_of(section, plan.simulation)
+    solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
+    around, with_stress = solution.at(instant), "stress" in section.quantities
+    assert around.disturbance.boundary_error >= 0.0  # forms the table
+    seconds = time.process_time() - begin
+    for target in targets_of(loaded, section):
+        some = np.linspace(0, target.size - 1, min(target.size, POINTS)).astype(int)
+        points = [target.in_space(i, i + 1, instant.position, instant.rotation) for i in some]
+        begin = time.process_time()
+        around.evaluate(np.concatenate(points), section.tolerance, section.method, with_stress)
+        seconds += (time.process_time() - begin) * target.size / len(some)
+    return seconds
+
+
+def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
+    """What a single run takes, None for tasks of which that is not told."""
+    if isinstance(plan, MotionPlan):
+        return motion_seconds(plan)
+    return field_seconds(loaded, plan) if loaded.case.task == "field" else None
+
+
+def block_seconds(scenes: Swept) -> Array:
+    """Integration time of every block, carried over from a few that are begun."""
+    if not isinstance(scenes, Scenes):
+        return np.full(scenes.blocks, scenes.turns * MODEL)
+    weight = block_weights(scenes)
+    numbers, rates = [], []
+    for number in np.unique(np.linspace(0, scenes.blocks - 1, BEGUN).astype(int)).tolist():
+        pieces = scenes.block(number).pieces
+        evaluation = "auto" if scenes.alone else "compiled"
+        try:
+            parts = [lanes_of(scenes, scene, members) for scene, members in pieces]
+            times = scenes.scene(pieces[0][0]).plan.times
+            seconds = begun(parts, times, scenes.quantities, evaluation=evaluation)
+        except (QbxStokesError, ArithmeticError):  # told again when its turn comes
+            continue
+        numbers.append(number)
+        rates.append(seconds / weight[number])
+    rate = np.interp(np.arange(scenes.blocks), numbers, rates) if numbers else 0.0
+    return np.asarray(scenes.turns * (BLOCK + weight * rate))
+
+
+def estimate(scenes: Swept, row_bytes: int) -> Estimate:
+    """Cost of the whole sweep; begins some of its blocks."""
+    sizes, per_block = scenes.block_sizes(), block_seconds(scenes)
     n = scenes.space.size
     # Where bodies are what is swept, forming them is all the work of a block.
     bodies = scenes.turns * len(scenes.bodies[1]) if isinstance(scenes, Scenes) else 0
     held = 8 * scenes.samples * int(sizes.max()) * 60
     return Estimate(
-        models=bodies * constants.model,
+        models=bodies * MODEL,
         bodies=bodies,
         integration=float(per_block.sum()),
-        output=n * (row_bytes * constants.stored_byte + scenes.samples * constants.sample),
-        handout=scenes.blocks * constants.handout,
+        output=n * row_bytes * STORED_BYTE,
+        handout=scenes.blocks * HANDOUT,
         last_block=float(per_block.max()),
-        layout=n * constants.layout,
+        layout=n * LAYOUT,
         memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 24.0 * scenes.blocks,
     )

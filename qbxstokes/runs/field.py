@@ -19,7 +19,7 @@ from qbxstokes.io.names import told_by
 from qbxstokes.io.store import Work, holds_work, open_work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
-from qbxstokes.runs.field_targets import chosen_instants
+from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
 from qbxstokes.runs.parallel import on_root
@@ -81,17 +81,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     section = case.field
     assert section is not None
     # The other ranks plan as rank 0 did, which has found nothing wrong.
-    start = (job.plan or plan_field(loaded)).simulation
-    given = section.body != "free"
-    instant = Instant(
-        0.0,
-        start.position[0],
-        start.quaternion[0],
-        np.array(section.velocity) if given else None,
-        np.array(section.angular_velocity) if given else None,
-        np.array(section.force),
-        np.array(section.torque),
-    )
+    instant = instant_of(section, (job.plan or plan_field(loaded)).simulation)
     work = FieldWork(job, job.comm, [instant], folder)
     target, identity = folder.target, json.dumps(folder.identity)
     if job.comm.rank != 0:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.tables import TableError, read_table
 
 Array = NDArray[np.float64]
@@ -59,6 +61,20 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
     if section.points is not None:
         found.append(_listed(loaded, section.points))
     return found
+
+
+def instant_of(section: FieldSection, start: Simulation) -> Instant:
+    """The body where it starts, free or moving as the section says."""
+    given = section.body != "free"
+    return Instant(
+        0.0,
+        start.position[0],
+        start.quaternion[0],
+        np.array(section.velocity) if given else None,
+        np.array(section.angular_velocity) if given else None,
+        np.array(section.force),
+        np.array(section.torque),
+    )
 
 
 def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:

@@ -34,6 +34,7 @@ from qbxstokes.runs.target import result_path
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
+_TAKES = "beside start, comparison, lines and a motion's field (within a factor of 2) about"
 _LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
 # Errors of a field, which has no reference but itself.
 _CHECKS = {
@@ -131,12 +132,13 @@ def _vector(value: Any) -> str:
     return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
 
 
-def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
-    """The plan as plain data."""
+def plan_facts(plan: Plan, target: Path, seconds: float | None) -> dict[str, Any]:
+    """The plan as plain data; seconds: what it will take, where that is told."""
     facts: dict[str, Any] = {
         "needs": list(plan.needs),
         "skips": list(plan.skips),
         "output": str(target),
+        "seconds": seconds,
     }
     if isinstance(plan, FieldPlan):
         facts |= {"points": plan.points}
@@ -151,8 +153,8 @@ def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
     return facts
 
 
-def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
-    """What the task needs, what it skips, and where the result goes."""
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:
+    """What the task needs, what it skips, how long it takes, and where the result goes."""
     writes = "", str(target)
     if isinstance(plan, MotionPlan):
         writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
@@ -160,6 +162,7 @@ def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
         "Scene": scene(loaded, plan),
         "Needs": listed(plan.needs),
         "Skips": listed(plan.skips),
+        "Takes": [] if seconds is None else [("", f"{_TAKES} {duration(seconds)}")],
         "Writes": [writes],
     }
     return (

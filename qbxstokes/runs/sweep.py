@@ -36,12 +36,12 @@ _RESULT = "result.new"  # in the working folder, until it is whole
 def sweep_command(job: Job) -> int:
     """Carry out a case with a section `sweep`; returns the exit status."""
     comm, loaded, options = job.comm, job.loaded, job.options
+    job.start()
     if options.dry_run or options.explain:
         facts = on_root(comm, lambda: _dry_run(loaded, comm.size))
         job.tell(facts, lambda: str(facts["text"]))
         if options.dry_run:
             return 0
-    job.start()
     summary = run_sweep(job)
 
     def text() -> str:

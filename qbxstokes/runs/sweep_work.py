@@ -28,7 +28,7 @@ from qbxstokes.runs.progress import Clock, Progress
 from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.from_case import body_of, pointed, simulation_of
+from qbxstokes.simulation.from_case import body_of, pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.simulation import Simulation
 
@@ -201,12 +201,12 @@ def _order(scenes: Swept, todo: Todo, work: Work) -> tuple[list[int], Array]:
 
     Those first that an earlier run was at work on, then the costliest, so that ranks end together.
     """
-    from qbxstokes.runs.cost import block_seconds
+    from qbxstokes.runs.cost import block_weights
 
     numbers = todo.numbers
     if not numbers:
         return [], np.empty(0)
-    cost = block_seconds(scenes)[numbers]
+    cost = block_weights(scenes)[numbers]
     begun = {path.stem.removeprefix("state-") for path in work.parts("state")}
     fresh = np.array([str(number) not in begun for number in numbers])
     order = np.lexsort((-cost, fresh))
@@ -331,8 +331,6 @@ class _Together:
         body = int(self._body[number])
         if body in self._models.errors:
             raise self._models.errors[body]
-        scene = self._scenes.scene(number)
         if body not in self._bodies:
-            self._bodies[body] = body_of(scene.loaded)
-        starts = block.starts_of(scene.loaded, self._scenes.space.values(index), len(index))
-        return simulation_of(scene.loaded, self._bodies[body], starts)
+            self._bodies[body] = body_of(self._scenes.scene(number).loaded)
+        return block.lanes_of(self._scenes, number, index, self._bodies[body])

@@ -96,7 +96,10 @@ class Assembled:
             settings["observe"] = self._checked_along(observe)
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS[self.parts[0].kind]}
         if len(self.initial) > 1:  # lanes are kept in memory: a cut would only move their bits
-            limits = {"chunk_samples": len(times) + 1, "chunk_steps": self._cut_steps}
+            limits = {
+                "chunk_samples": len(times) + 1,
+                "chunk_steps": max(20, self.steps_of(CUT_WORK)),
+            }
         return integrate(
             self.equations,
             self.initial if start is None else start,
@@ -136,13 +139,12 @@ class Assembled:
 
         return watch
 
-    @property
-    def _cut_steps(self) -> int:
-        """Steps of several lanes between cuts: some seconds of work, whatever a step costs."""
+    def steps_of(self, work: float) -> int:
+        """Steps of all lanes that are about so many seconds of work, from 1 to 10,000."""
         kind = self.parts[0].kind
         if kind == "table" and not self.equations.compiled():
             kind = "plain"
-        return int(np.clip(CUT_WORK / (len(self.initial) * STEP_COST[kind]), 20, 10_000))
+        return int(np.clip(work / (len(self.initial) * STEP_COST[kind]), 1, 10_000))
 
     def watch(self) -> Any:
         """What watches for events between the steps of a single lane; raises SceneError."""

@@ -50,10 +50,12 @@ class LaneRun:
         self,
         on_cut: Callable[[], None] = lambda: None,
         interrupted: Callable[[], bool] | None = None,
+        **cuts: int,
     ) -> Trajectory:
         """Integrate what is left; returns the last trajectory, which tells how it went.
 
-        on_cut: called where the run could be resumed from what it holds.
+        on_cut: called where the run could be resumed from what it holds. cuts: where that is, other
+        than by the scene's own rule.
         """
         while True:
             whole = len(self.active) == self.states.shape[1]
@@ -79,6 +81,7 @@ class LaneRun:
                 on_chunk=receive,
                 interrupted=interrupted,
                 observe=None if contacts is None else observe,
+                **cuts,
             )
             if contacts is not None:
                 least = [gap for gap, _ in contacts.nearest.values()]
