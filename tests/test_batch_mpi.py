@@ -149,7 +149,11 @@ module, _, name = where.rpartition(":")
 holder, _, attribute = name.rpartition(".")
 owner = import_module(module)
 owner = getattr(owner, holder) if holder else owner
+intact, calls = getattr(owner, attribute), [0]
 def broken(*arguments, **options):
+    calls[0] += 1
+    if calls[0] < int(os.environ.get("CALL", "1")):
+        return intact(*arguments, **options)
     print(f"at {time.time()}", flush=True)
     raise (OSError(28, "No space left on device") if kind else ZeroDivisionError("the fuse"))
 if MPI.COMM_WORLD.rank == 0:
@@ -201,6 +205,30 @@ def test_a_failure_of_rank_0_ends_the_job_within_seconds(
     assert ("No space left" if where.endswith("full") else "ZeroDivisionError: the fuse") in (
         done.stderr
     )
+
+
+@pytest.mark.parametrize("full", ["", " full"])
+def test_a_failure_in_the_middle_of_the_merge_loses_nothing(
+    full: str,
+    whole: dict[str, bytes],
+    mpirun: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Rank 0 fails at the third of several pieces; a resumed run computes nothing anew."""
+    monkeypatch.setenv("BROKEN", SWEEP_FAILS[4] + full)
+    monkeypatch.setenv("CALL", "3")
+    words = ("case.yaml", "--quiet", "--set", "checkpoint.every=1e-6 s")
+    done = mpirun(2, *words, script=BROKEN, timeout=90)
+    assert done.returncode != 0
+    assert ("No space left" if full else "the fuse") in done.stderr
+    assert not (tmp_path / "case.h5").exists()
+    parts = sorted(parts_of(tmp_path / "case.h5").glob("blocks-*.h5"))
+    again = mpirun(2, *words, "--resume")
+    assert again.returncode == 0, again.stderr
+    assert len(parts) > 2
+    assert contents(tmp_path / "case.h5") == whole
+    assert not parts_of(tmp_path / "case.h5").exists()
 
 
 def children(group: int) -> Iterator[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
 from qbxstokes.io import store
-from qbxstokes.io.store import DamagedPart, holds_work, open_work, read_part, write_part
+from qbxstokes.io.store import DamagedPart, Work, holds_work, open_work, read_part, write_part
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.rows import ALONE
 
@@ -156,6 +157,26 @@ def test_small_work_is_gathered_and_comes_back_in_order(tmp_path: Path) -> None:
         list(apart.collect())
     assert [note["number"] for note in notes(work, "field")] == [1]
     work.close(remove=True)
+
+
+def test_many_ranks_make_thousands_of_files_not_millions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hundred ranks with a thousand blocks each, ten a second, by a clock of our own."""
+    saved, now = [0], [0.0]
+    monkeypatch.setattr(Work, "save", lambda *_: saved.__setitem__(0, saved[0] + 1))
+    monkeypatch.setattr("qbxstokes.runs.gathering.time.monotonic", lambda: now[0])
+    work = Work(tmp_path / "r.h5", IDENTITY, 1)
+    rows, ranks, blocks = {"index": np.arange(8)}, 100, 1000
+    for rank in range(ranks):
+        now[0] = 0.0
+        gathering = Gathering(
+            SimpleNamespace(rank=rank, size=ranks), work.joined(rank), "blocks", joined=True
+        )
+        for block in range(blocks):
+            now[0] += 0.1
+            gathering.add(rows, {"block": block})
+    assert ranks <= saved[0] <= 4 * ranks  # 100 s each, a part every 30 s, the rest by message
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:

@@ -100,19 +100,6 @@ def compute_case(
     clock: Clock,
 ) -> int:
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
-    with Interruption() as interruption:
-        return _computed(comm, path, read, options, petsc, clock, interruption)
-
-
-def _computed(
-    comm: Any,
-    path: Path,
-    read: Callable[[], LoadedCase],
-    options: argparse.Namespace,
-    petsc: Sequence[str],
-    clock: Clock,
-    interruption: Interruption,
-) -> int:
     with clock.part("import"):
         from qbxstokes.case.load import from_document
         from qbxstokes.runs.plan import plan_of
@@ -128,17 +115,18 @@ def _computed(
         document, space, target = on_root(comm, planned)
         # Every rank makes the same of the document.
         loaded, plan = own or (from_document(document, path, space), None)
-    job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
-    sweep = loaded.case.sweep
-    if sweep is not None and sweep.store == "statistics":
-        from qbxstokes.runs.ensemble import ensemble_command
+    with Interruption() as interruption:
+        job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
+        sweep = loaded.case.sweep
+        if sweep is not None and sweep.store == "statistics":
+            from qbxstokes.runs.ensemble import ensemble_command
 
-        return ensemble_command(job)
-    if loaded.space is not None:
-        from qbxstokes.runs.sweep import sweep_command
+            return ensemble_command(job)
+        if loaded.space is not None:
+            from qbxstokes.runs.sweep import sweep_command
 
-        return sweep_command(job)
-    return carry_out(job)
+            return sweep_command(job)
+        return carry_out(job)
 
 
 def carry_out(job: Job) -> int:

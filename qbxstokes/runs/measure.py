@@ -45,23 +45,17 @@ class Stopped(Exception):
     """A signal has asked to stop: nothing of this trajectory is kept."""
 
 
-class Stopwatch:
-    """Spans of time by name, one for each turn; the first is left out where there are more."""
+def timed(spans: list[float], action: Callable[[], Any]) -> Any:
+    """What the action returns; its time in seconds joins the others."""
+    begin = time.perf_counter()
+    result = action()
+    spans.append(time.perf_counter() - begin)
+    return result
 
-    def __init__(self) -> None:
-        self._spans: dict[str, list[float]] = {}
 
-    def timed(self, name: str, action: Callable[[], Any]) -> Any:
-        """What the action returns."""
-        begin = time.perf_counter()
-        result = action()
-        self._spans.setdefault(name, []).append(time.perf_counter() - begin)
-        return result
-
-    def median(self, name: str) -> float:
-        """The median of the spans of a name, in seconds."""
-        spans = self._spans[name]
-        return median(spans[1:] or spans)
+def typical(spans: list[float]) -> float:
+    """The median of the spans of all turns; the first is left out where there are more."""
+    return median(spans[1:] or spans)
 
 
 class Measurer:
@@ -103,10 +97,11 @@ class Measurer:
     def _body(self, loaded: LoadedCase) -> dict[str, float]:
         """The columns of a body."""
         plan_body(loaded)  # refuses what cannot be computed
-        watch, in_flow = Stopwatch(), loaded.case.flow is not None
+        spans: list[float] = []
+        in_flow = loaded.case.flow is not None
         for _ in range(self._scenes.turns):
             scene = start_of(loaded)
-            formed = watch.timed("setup", partial(form_law, scene, in_flow, Workshop()))
+            formed = timed(spans, partial(form_law, scene, in_flow, Workshop()))
             if self._poke():
                 raise Stopped
         law = Law(scene, formed, in_flow, scene.body.stress)
@@ -121,13 +116,14 @@ class Measurer:
         found |= {name: float(report[name]) for name in REPORTED}
         return found | {
             "error": _error(loaded, lambda: law.errors(arrays)),
-            "setup_time": watch.median("setup"),
+            "setup_time": typical(spans),
             "nodes": float(report["n_theta"] * report["n_phi"]),
         }
 
     def _motion(self, loaded: LoadedCase, result: BlockResult) -> dict[str, float]:
         """Integrate, fill in samples and averages; returns the measured columns."""
-        plan, watch, turns = make_plan(loaded), Stopwatch(), self._scenes.turns
+        plan, turns = make_plan(loaded), self._scenes.turns
+        setups, motions = list[float](), list[float]()
         result.times = times = plan.times
         key = _body_key(loaded, plan.simulation)
         known, setup = self._known.get(key, (None, None))
@@ -135,20 +131,20 @@ class Measurer:
         def form(part: Simulation, workshop: Workshop) -> Hydrodynamic:
             need = part.need()
             ask = partial(part.body.hydrodynamics_in, part.flow, need, workshop)
-            return watch.timed("setup", ask)
+            return timed(setups, ask)
 
         for _ in range(turns):
             body = known or body_of(loaded)
             assembled = assemble([simulation_of(loaded, body)], checked=True, maker=form)
             run = LaneRun.of(assembled, times)
-            trajectory = watch.timed("motion", partial(run.go, interrupted=self._poke))
+            trajectory = timed(motions, partial(run.go, interrupted=self._poke))
             if not trajectory.finished:
                 raise Stopped
         if trajectory.refusal or trajectory.failure:
             raise ConvergenceError(trajectory.refusal or trajectory.failure)
         if not np.isfinite(run.states[:, run.active]).all():
             raise ConvergenceError("the state is not finite")
-        setup = setup or watch.median("setup")
+        setup = setup or typical(setups)
         if plan.simulation.kind == "table":
             self._known[key] = body, setup
         end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
@@ -158,7 +154,7 @@ class Measurer:
         whole = int(np.searchsorted(times, result.summary["end"][0], "right"))
         alone = {name: array[:whole, 0] for name, array in samples.items()}
         return {
-            "wall_time": watch.median("motion"),
+            "wall_time": typical(motions),
             "setup_time": setup,
             "rejected": float(end.rejections),
             "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),

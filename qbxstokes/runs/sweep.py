@@ -145,12 +145,10 @@ def _computed(
             gathering.save()
         if comm.rank:
             list(gathering.collect())
-        finish = _merged if todo.merges else _shown
+        told, merges = job.provenance | about, todo.merges
         return on_root(
             comm,
-            lambda: finish(
-                scenes, layout, gathering, opening, job.provenance | about, elapsed, comm.size
-            ),
+            lambda: _finished(scenes, layout, gathering, opening, told, merges, elapsed, comm.size),
         )
 
 
@@ -230,58 +228,69 @@ class Opening:
         return todo
 
 
-def _merged(
+def _finished(
     scenes: Swept,
     layout: store.Layout,
     gathering: Gathering,
     opening: Opening,
     provenance: dict[str, Any],
+    merges: bool,
     elapsed: float,
     ranks: int,
 ) -> dict[str, Any]:
-    """On rank 0: all rows in one file, the file under its name, and the summary."""
+    """On rank 0: the result under its name, with all rows or showing the parts; the summary."""
     work = opening.work
     assert work is not None
-    found = Todo([])
-    path, target = work.folder / _RESULT, work.target
+    path, target, found = work.folder / _RESULT, work.target, Todo([])
+    if not merges:
+        gathering.drain()  # the other ranks have made safe what they had
     try:
-        with store.create(path, layout, provenance, scales_of(scenes, layout)) as whole:
-            if opening.base is not None:
-                found = opening.failures()
-                with store.open_result(opening.base, layout) as old:
-                    for number in range(scenes.blocks):
-                        index = scenes.block(number).index
-                        whole.write_rows(index, old.read_rows(index))
-            for rows, note in gathering.collect():
-                whole.write_rows(rows.pop("index"), rows)
-                for told in note.get("items", [note]):
-                    found.learn(told)
+        shown = None if merges else _shown(layout, work, found)
+        with store.create(path, layout, provenance, scales_of(scenes, layout), shown) as whole:
+            if merges:
+                found = _merge(scenes, layout, whole, gathering, opening)
             summary = _sum_up(scenes, whole, found, elapsed, ranks)
         os.replace(path, target)
     except OSError as error:
         raise unwritable(target, error) from None
     finally:
         gathering.drain()
-    opening.close(remove=True)
-    return {"result": str(target), **summary}
+    if merges:
+        opening.close(remove=True)
+        return {"result": str(target), **summary}
+    for state in work.parts("state"):
+        state.unlink(missing_ok=True)
+    work.note_run(finished=True)
+    work.close()
+    return {"result": str(target), "parts": str(work.folder), **summary}
 
 
-def _shown(
+def _merge(
     scenes: Swept,
     layout: store.Layout,
+    whole: store.WholeFile,
     gathering: Gathering,
     opening: Opening,
-    provenance: dict[str, Any],
-    elapsed: float,
-    ranks: int,
-) -> dict[str, Any]:
-    """On rank 0: a result that shows the parts, which stay; its summary."""
-    work = opening.work
-    assert work is not None
-    gathering.drain()  # the other ranks have made safe what they had
-    found, parts = Todo([]), work.parts(BLOCKS)
+) -> Todo:
+    """Put the rows of all ranks, and those of a result that is mended, into the file."""
+    found = Todo([])
+    if opening.base is not None:
+        found = opening.failures()
+        with store.open_result(opening.base, layout) as old:
+            for number in range(scenes.blocks):
+                index = scenes.block(number).index
+                whole.write_rows(index, old.read_rows(index))
+    for rows, note in gathering.collect():
+        whole.write_rows(rows.pop("index"), rows)
+        for told in note.get("items", [note]):
+            found.learn(told)
+    return found
+
+
+def _shown(layout: store.Layout, work: Work, found: Todo) -> list[store.Shown]:
+    """Which rows of which part the result shows, the latest of each; `found` learns the notes."""
+    parts, indices = work.parts(BLOCKS), []
     latest = np.full(layout.size, -1, dtype=np.int32)  # the part that holds a trajectory
-    indices = []
     for number, path in enumerate(parts):
         arrays, note = read_whole(path, ["index"])
         indices.append(arrays["index"])
@@ -292,19 +301,7 @@ def _shown(
     for number, (path, index) in enumerate(zip(parts, indices, strict=True)):
         places = np.flatnonzero(latest[index] == number)
         shown.append(store.Shown(path, len(index), index[places], places))
-    path, target = work.folder / _RESULT, work.target
-    scales = scales_of(scenes, layout)
-    try:
-        with store.create(path, layout, provenance, scales, shown) as whole:
-            summary = _sum_up(scenes, whole, found, elapsed, ranks)
-        os.replace(path, target)
-    except OSError as error:
-        raise unwritable(target, error) from None
-    for state in work.parts("state"):
-        state.unlink(missing_ok=True)
-    work.note_run(finished=True)
-    work.close()
-    return {"result": str(target), "parts": str(work.folder), **summary}
+    return shown
 
 
 def _sum_up(
