@@ -494,7 +494,7 @@ def test_a_block_in_work_goes_on_from_its_state(
     from qbxstokes.runs import block
     from qbxstokes.simulation import assembly
 
-    monkeypatch.setattr(assembly.Assembled, "_cut_steps", 25)
+    monkeypatch.setattr(assembly.Assembled, "steps_of", lambda *_: 25)
     path = write(RANDOM, {"body.stokes_number": [1, 2]}, checkpoint=OFTEN)
     assert run_command([str(path), "--quiet"]) == 0
     (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
