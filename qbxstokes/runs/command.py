@@ -100,22 +100,22 @@ def compute_case(
     clock: Clock,
 ) -> int:
     """Compute the case that rank 0 reads; returns the exit status, raises QbxStokesError."""
-    with clock.part("import"):
-        from qbxstokes.case.load import from_document
-        from qbxstokes.runs.plan import plan_of
-        from qbxstokes.runs.target import target_of
-    own: list[Any] = []
-
-    def planned() -> Any:
-        loaded = read()
-        own.extend([loaded, plan_of(loaded)])
-        return loaded.document, loaded.space, target_of(loaded, options.overwrite)
-
-    with clock.part("read and plan"):
-        document, space, target = on_root(comm, planned)
-        # Every rank makes the same of the document.
-        loaded, plan = own or (from_document(document, path, space), None)
     with Interruption() as interruption:
+        with clock.part("import"):
+            from qbxstokes.case.load import from_document
+            from qbxstokes.runs.plan import plan_of
+            from qbxstokes.runs.target import target_of
+        own: list[Any] = []
+
+        def planned() -> Any:
+            loaded = read()
+            own.extend([loaded, plan_of(loaded)])
+            return loaded.document, loaded.space, target_of(loaded, options.overwrite)
+
+        with clock.part("read and plan"):
+            document, space, target = on_root(comm, planned)
+            # Every rank makes the same of the document.
+            loaded, plan = own or (from_document(document, path, space), None)
         job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
         sweep = loaded.case.sweep
         if sweep is not None and sweep.store == "statistics":
@@ -137,17 +137,17 @@ def carry_out(job: Job) -> int:
             from qbxstokes.runs.coupled_report import plan_facts, plan_text, summary_text
         else:
             from qbxstokes.runs.summary import plan_facts, plan_text, summary_text
-        from qbxstokes.runs.summary import missed, remarks
+        from qbxstokes.runs.summary import missed, remarks, takes_text
 
     job.start()
     if job.comm.rank == 0 and (options.dry_run or (options.explain and not options.json)):
         from qbxstokes.runs.cost import seconds_of
 
         seconds = seconds_of(loaded, job.plan) if options.dry_run else None
-        facts = plan_facts(job.plan, job.target, seconds)
+        facts = {**plan_facts(job.plan, job.target), "seconds": seconds}
         job.tell(
             {"case": str(loaded.path), "plan": facts},
-            lambda: plan_text(loaded, job.plan, job.target, seconds),
+            lambda: plan_text(loaded, job.plan, job.target) + takes_text(seconds),
         )
     if options.dry_run:
         return 0

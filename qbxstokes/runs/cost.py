@@ -198,20 +198,22 @@ def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
     assert section is not None
     instant = instant_of(section, plan.simulation)
     solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
-    around, with_stress = solution.at(instant), "stress" in section.quantities
+    around, asked = solution.at(instant), (section.quantities, section.tolerance, section.method)
     assert around.disturbance.boundary_error >= 0.0  # forms the table
     seconds = time.process_time() - begin
     for target in targets_of(loaded, section):
         some = np.linspace(0, target.size - 1, min(target.size, POINTS)).astype(int)
         points = [target.in_space(i, i + 1, instant.position, instant.rotation) for i in some]
         begin = time.process_time()
-        around.evaluate(np.concatenate(points), section.tolerance, section.method, with_stress)
+        around.evaluate(np.concatenate(points), *asked)
         seconds += (time.process_time() - begin) * target.size / len(some)
     return seconds
 
 
 def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
     """What a single run takes, None for tasks of which that is not told."""
+    if loaded.case.coupled:
+        return None
     if isinstance(plan, MotionPlan):
         return motion_seconds(plan)
     return field_seconds(loaded, plan) if loaded.case.task == "field" else None

@@ -26,6 +26,7 @@ from qbxstokes.runs.report import (
     near_edge,
     quantity,
     render,
+    section,
     size,
     spent_text,
     vector,
@@ -132,13 +133,12 @@ def _vector(value: Any) -> str:
     return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
 
 
-def plan_facts(plan: Plan, target: Path, seconds: float | None) -> dict[str, Any]:
-    """The plan as plain data; seconds: what it will take, where that is told."""
+def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
+    """The plan as plain data."""
     facts: dict[str, Any] = {
         "needs": list(plan.needs),
         "skips": list(plan.skips),
         "output": str(target),
-        "seconds": seconds,
     }
     if isinstance(plan, FieldPlan):
         facts |= {"points": plan.points}
@@ -153,8 +153,15 @@ def plan_facts(plan: Plan, target: Path, seconds: float | None) -> dict[str, Any
     return facts
 
 
-def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:
-    """What the task needs, what it skips, how long it takes, and where the result goes."""
+def takes_text(seconds: float | None) -> str:
+    """How long a run will take, where that is told."""
+    if seconds is None:
+        return ""
+    return section("Takes", [("", f"{_TAKES} {duration(seconds)}")]) + "\n"
+
+
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
+    """What the task needs, what it skips, and where the result goes."""
     writes = "", str(target)
     if isinstance(plan, MotionPlan):
         writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
@@ -162,7 +169,6 @@ def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | Non
         "Scene": scene(loaded, plan),
         "Needs": listed(plan.needs),
         "Skips": listed(plan.skips),
-        "Takes": [] if seconds is None else [("", f"{_TAKES} {duration(seconds)}")],
         "Writes": [writes],
     }
     return (
