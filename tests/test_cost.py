@@ -60,20 +60,22 @@ TIMED: dict[str, tuple[dict[str, Any], float]] = {
 
 @pytest.mark.parametrize("name", TIMED)
 def test_what_a_block_will_take_is_told_within_a_factor_of_two(name: str, tmp_path: Path) -> None:
-    """Processor times, so that what else the machine does has no part in them."""
+    """Processor times, the least of several: what else the machine does has little part in them."""
     (tmp_path / "flow.py").write_text(USER)
     given, turns = TIMED[name]
     case = given | AXES | {"time": {"end": 30.0 * turns, "samples": 21}}
     scenes = scenes_of(json.dumps(case | {"start": {"position": [0, 0.5, 0]}}), tmp_path)
     ((scene, members),) = scenes.block(0).pieces
     lanes, times = lanes_of(scenes, scene, members), scenes.scene(0).plan.times
-    told = begun([lanes], times, scenes.quantities, evaluation="compiled")
-    run = LaneRun.of(assemble([lanes], checked=True, evaluation="compiled"), times)
-    begin = time.process_time()
-    run.go()
-    run.assembled.averages(times, run.samples(scenes.quantities))
-    spent = time.process_time() - begin
-    assert 0.5 < told / spent < 2.0, f"{told:.3g} s told, {spent:.3g} s spent"
+    assembled = assemble([lanes], checked=True, evaluation="compiled")
+    told, spent = list[float](), list[float]()
+    for _ in range(3):
+        told.append(begun([lanes], times, scenes.quantities, evaluation="compiled"))
+        run, begin = LaneRun.of(assembled, times), time.process_time()
+        run.go()
+        assembled.averages(times, run.samples(scenes.quantities))
+        spent.append(time.process_time() - begin)
+    assert 0.5 < min(told) / min(spent) < 2.0, f"{told} s told, {spent} s spent"
 
 
 def test_fields_and_motions_are_told_what_they_take(run_cli: Run, tmp_path: Path) -> None:
