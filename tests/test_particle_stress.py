@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import qbxstokes as qs
 from qbxstokes.geometry.symmetric import components
+from qbxstokes.motion.means import mean_of
 from qbxstokes.reference import stress
 
 SHEAR = qs.flow("shear")
@@ -76,6 +79,51 @@ def test_recorded_in_files_and_sweeps() -> None:
     assert swept.stresslet.shape == (2, 6, 6)
     np.testing.assert_allclose(swept.stresslet[1], result.stresslet, atol=1e-8)
     assert "stresslet" not in qs.run({**case, "output": {}}).names
+
+
+def test_means_over_turns_and_axes() -> None:
+    """Each orbit's mean to 1e-8, whatever part of a turn is left over; that of all and its error."""
+    body, axes = qs.Body(0.4), [[1.0, 1.0, 1.0], [1.0, 0.2, 0.0]]
+    scene = qs.Simulation(body, SHEAR, orientation=axes)
+    motion = scene.integrate(np.linspace(0.0, 2.6 * scene.period, 801))
+    found = motion.mean("particle_stress")
+    for each, axis in zip(found.each, axes, strict=True):
+        exact = qs.rheology(body, SHEAR, np.inf, orientations=axis).particle_stress
+        assert np.abs(each - exact).max() < 1e-8
+        assert np.abs(each - exact).max() < 3.0 * found.sampling_error * np.abs(exact).max()
+    assert np.array_equal(found.mean, found.each.mean(axis=0))
+    half = np.abs(found.each[0] - found.each[1]) / 2.0
+    np.testing.assert_allclose(found.standard_error, half, rtol=1e-12)
+    with pytest.raises(qs.errors.QbxStokesError, match="viscosity"):
+        motion.mean("viscosity")
+
+
+def test_means_of_sweeps(tmp_path: Path) -> None:
+    """Over trajectories from isotropic axes: the mean of all orbits, within its error."""
+    case = {
+        "body": {"aspect_ratio": 0.4},
+        "flow": {"type": "shear"},
+        "time": {"end": 40.0, "samples": 301},
+        "output": {"fields": ["axis", "particle_stress"]},
+        "sweep": {"axes": [{"start.orientation": {"random": "axes", "count": 100, "seed": 1}}]},
+    }
+    path = tmp_path / "case.yaml"
+    path.write_text(json.dumps(case))
+    result = qs.run(path)
+    found = result.mean("particle_stress")
+    exact = qs.rheology(qs.Body(0.4), SHEAR, np.inf).particle_stress
+    assert abs(found.mean[3] - exact[0, 1]) < 3.0 * found.standard_error[3]
+    assert found.standard_error[3] < 0.02 * exact[0, 1]
+    with pytest.raises(AttributeError):
+        result.mean("stresslet")
+
+
+def test_a_motion_that_ends_has_the_mean_of_what_it_had() -> None:
+    times = np.linspace(0.0, 1.0, 11)
+    values = np.stack([times, np.where(times < 0.55, times, np.nan), np.full(11, np.nan)], axis=1)
+    found = mean_of(times, values, np.full(3, np.nan))
+    np.testing.assert_allclose(found.each, [0.5, 0.25, np.nan], atol=1e-15)
+    assert found.mean == pytest.approx(0.375)
 
 
 def test_any_flow() -> None:

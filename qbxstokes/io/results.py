@@ -22,6 +22,7 @@ from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, read_tree
 from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
+from qbxstokes.motion.means import Mean, mean_of
 
 if TYPE_CHECKING:
     import h5py
@@ -195,6 +196,21 @@ class SweepResult(Result):
         """Shapes of the datasets by name; nothing is read for them."""
         assert isinstance(self.arrays, LazyArrays)
         return self.arrays.shapes
+
+    def mean(self, name: str, discard: float = 0.0) -> Mean:
+        """Mean of a quantity over whole turns, and over the trajectories, with its errors.
+
+        name: such as "particle_stress", in the components that are stored; discard: the first part
+        of the time, which is left out. Raises AttributeError where its samples were not stored.
+        """
+        values, times = getattr(self, name), self.arrays["time"]
+        if not len(self.table) or values.shape[:1] != self.table.shape or values.ndim < 2:
+            raise AttributeError(f"{name} has no samples; output.fields stores them")
+        rows = np.moveaxis(values, 0, 1)
+        if np.ndim(times) == 1:
+            return mean_of(times, rows, self.table["period"], discard)
+        # Instants of their own, at the same parts of a time: by that.
+        return mean_of(times[0] / times[0, -1], rows, self.table["period"] / times[:, -1], discard)
 
     def trajectory(self, number: int) -> Result:
         """One trajectory as the result of a motion; raises IndexError where there is none.

@@ -91,8 +91,8 @@ class Moment:
     def _scale(self) -> tuple[Array, Array]:
         """Velocity gradient (n, 3, 3) at the centres, and volume times rate (n, 1)."""
         gradient = self.stress.gradient(self.t, self.states)
-        strain = 0.5 * (gradient + gradient.swapaxes(1, 2))
-        rate = np.sqrt(2.0 * np.sum(strain * strain, axis=(1, 2)))
+        twice = gradient + gradient.swapaxes(1, 2)
+        rate = np.sqrt(0.5 * np.einsum("nij,nij->n", twice, twice))
         volume = np.broadcast_to(self.equations.bodies.inertia[0], rate.shape)
         with np.errstate(divide="ignore"):
             return gradient, np.where(rate > 0.0, volume * rate, np.nan)[:, None]
@@ -100,7 +100,8 @@ class Moment:
     @property
     def particle_stress(self) -> Array:
         """Sum (n, 6) of all parts over volume fraction, mu and rate (G. K. Batchelor 1970)."""
-        return np.asarray(self.stresslet / self._scale[1] + self.inertial[0] + self.inertial[1])
+        flowing = np.asarray(self.stresslet / self._scale[1])
+        return flowing if self.equations.massless else flowing + self.inertial[0] + self.inertial[1]
 
 
 def _orbit_constant(moment: Moment) -> Array:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from qbxstokes.case.sweep import column_name
 from qbxstokes.io.names import parts_of
+from qbxstokes.io.results import SweepResult, load
 from qbxstokes.io.sweep import Layout
+from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate
-from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size
+from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size, vector
 from qbxstokes.runs.sweep_layout import Swept
+
+_MOST_NUMBERS = 10**8  # of which means are formed when a sweep ends
 
 
 def _axes(scenes: Swept) -> Rows:
@@ -83,9 +88,29 @@ def summary_text(scenes: Swept, summary: dict[str, Any]) -> str:
     solved = [(scenes.nouns[1], done)]
     if summary["rhs_evaluations"]:
         solved.append(("right-hand sides", evaluated))
+    means = list(_means(scenes, summary["result"]))
     spans = [("sweep", f"{duration(wall)} on {counted(summary['ranks'], 'rank')}")]
     spans.append(("rank 0", spent))
     result = [("file", summary["result"])]
     if "parts" in summary:
         result.append(("", f"which shows what stands in {summary['parts']}: keep both together"))
-    return _text(scenes, {"Solved": solved, "Times": spans, "Result": result})
+    return _text(scenes, {"Solved": solved, "Means": means, "Times": spans, "Result": result})
+
+
+def _means(scenes: Swept, path: str) -> Rows:
+    """Stresses over time and trajectories with their errors, where they were recorded."""
+    result = load(path)
+    stored = [name for name in STRESS if name in result.names]
+    if not stored or not isinstance(result, SweepResult):
+        return
+    section = scenes.loaded.case.sweep
+    assert section is not None
+    yield "components", " ".join(STRESS[stored[0]].components)
+    for name in stored:
+        if math.prod(result.shapes[name]) > _MOST_NUMBERS:
+            yield name.replace("_", " "), "not formed: too many; SweepResult.mean does"
+            continue
+        found = result.mean(name, section.discard)
+        yield name.replace("_", " "), vector(found.mean)
+        if math.isfinite(found.standard_error[0]):
+            yield "its error", f"{vector(found.standard_error)}, if drawn at random"

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import symmetric
-from qbxstokes.quantities import MOTION, STRESS, of_event
+from qbxstokes.motion.means import Mean, mean_of
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
 
 if TYPE_CHECKING:
@@ -171,6 +172,26 @@ class Motion:
         found = self._assembled.averages(self.time, samples, discard)
         lanes = self.position.shape[:-2]
         return {name: values.reshape(*lanes, *values.shape[1:]) for name, values in found.items()}
+
+    def mean(self, name: str, discard: float = 0.0) -> Mean:
+        """Mean of a quantity over whole turns, and over the lanes, with its errors.
+
+        name: such as "particle_stress"; discard: the first part of the time, which is left out.
+
+        >>> import numpy as np, qbxstokes as qs
+        >>> scene = qs.Simulation(
+        ...     qs.Body(0.2), qs.flow("shear"), orientation=[[1, 0, 1], [1, 0, 0]]
+        ... )
+        >>> stress = scene.integrate(np.linspace(0.0, scene.period, 201)).mean("particle_stress")
+        >>> np.round(stress.each[:, 0, 1], 4)
+        array([3.1736, 3.5436])
+        """
+        if name not in RECORDABLE:
+            raise SceneError("name", f"is {name!r}", ", ".join(RECORDABLE))
+        period = np.asarray(self.averages(discard)["period"]).ravel()
+        found = mean_of(self.time, self._rows(getattr(self, name)), period, discard)
+        lanes = self.position.shape[:-2]
+        return replace(found, each=found.each.reshape(*lanes, *found.each.shape[1:]))
 
     def errors(self) -> dict[str, float]:
         """Largest errors against closed forms and independent integrations, by name.

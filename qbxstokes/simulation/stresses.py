@@ -143,6 +143,8 @@ class SceneStress:
         """Velocity gradient (n, 3, 3) of the background flow at the centres."""
         found = np.empty((len(states), 3, 3))
         for free, chosen in self._chosen(len(states)):
+            if len(self._parts) == 1:
+                return free.gradient(t, states[:, POSITION])
             found[chosen] = free.gradient(t, states[chosen, POSITION])
         return found
 
