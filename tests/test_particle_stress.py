@@ -82,7 +82,7 @@ def test_recorded_in_files_and_sweeps() -> None:
 
 
 def test_means_over_turns_and_axes() -> None:
-    """Each orbit's mean to 1e-8, whatever part of a turn is left over; that of all and its error."""
+    """Each orbit's mean to 1e-8, whatever part of a turn is left over; that of all orbits."""
     body, axes = qs.Body(0.4), [[1.0, 1.0, 1.0], [1.0, 0.2, 0.0]]
     scene = qs.Simulation(body, SHEAR, orientation=axes)
     motion = scene.integrate(np.linspace(0.0, 2.6 * scene.period, 801))
