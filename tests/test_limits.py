@@ -181,16 +181,20 @@ def test_one_rule_for_names(run_cli: Run, write_case: Callable[..., Path], tmp_p
 def test_foreign_and_damaged_files_are_told(
     run_cli: Run, write_case: Callable[..., Path], tmp_path: Path
 ) -> None:
-    """A result cut off anywhere: a line, never a traceback."""
+    """A result cut off or overwritten anywhere: a line, never a traceback or a hang."""
     for name, case in (("m", MOTION), ("s", SWEEP)):
         assert run_cli(write_case(case, f"{name}.yaml").name, "--quiet").returncode == 0
         whole = (tmp_path / f"{name}.h5").read_bytes()
-        for part in range(24):
-            # Bytes overwritten inside can make HDF5 itself read without end: only what is cut off.
-            (tmp_path / "damaged.h5").write_bytes(whole[: part * len(whole) // 24])
-            for words in (["info"], ["plot", "--output", "p"]):
-                done = run_cli(words[0], "damaged.h5", *words[1:])
-                assert done.returncode == 2, (part, words, done.stderr)
+        for part in range(12):
+            begin, size = part * len(whole) // 12, len(whole) // 12
+            (tmp_path / "damaged.h5").write_bytes(whole[:begin])
+            assert run_cli("info", "damaged.h5").returncode == 2
+            # HDF5 itself would read some of these without end.
+            (tmp_path / "damaged.h5").write_bytes(
+                whole[:begin] + bytes(size) + whole[begin + size :]
+            )
+            done = run_cli("plot", "damaged.h5", "--output", "p")
+            assert done.returncode in (0, 2), (part, done.stderr)
     import h5py
 
     with h5py.File(tmp_path / "foreign.h5", "w") as file:

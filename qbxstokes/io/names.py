@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from qbxstokes.errors import CaseError, ResultFileError
-from qbxstokes.io.format import FORMAT
+from qbxstokes.io.format import FORMAT, open_file
 
 
 def numbered(path: Path) -> Iterator[Path]:
@@ -57,12 +57,10 @@ def temporary_name(path: Path, folder: Path | None = None) -> Path:
 
 
 def _is_result(path: Path) -> bool:
-    import h5py
-
     if not path.is_file():
         return False
     try:
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
             return bool(file.attrs.get("format") == FORMAT)
     except OSError:
         return False
@@ -75,10 +73,8 @@ def told_by(path: Path, name: str, complete: bool = False) -> str | None:
     """
     if not path.exists():
         return None
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
             if complete and not file["summary"].attrs["complete"]:
                 return None
             held = file["provenance"]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, read_tree
+from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, open_file, read_tree
 from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
 from qbxstokes.motion.means import Mean, mean_of
@@ -268,7 +268,7 @@ def load(path: str | Path) -> Result:
     if not h5py.is_hdf5(path):
         raise ResultFileError(f"{path}: is not an HDF5 file; name a result of this program")
     try:
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
             header = dict(file.attrs)
             if header.get("format") != FORMAT or "task" not in header:
                 raise ResultFileError(f"{path}: an HDF5 file, but not written by this program")
@@ -315,10 +315,8 @@ def _look_for_parts(path: Path, parts: Mapping[str, Any]) -> None:
 
 def shows_parts(path: Path) -> bool:
     """Whether a file is a result that shows its parts rather than holding what stood in them."""
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
             return file.attrs.get("format") == FORMAT and PARTS in file
     except OSError:
         return False

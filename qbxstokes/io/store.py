@@ -83,7 +83,9 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
         if any(kind.values())
     }
     text = json.dumps({"note": note, "kinds": kinds}).encode()
-    with h5py.File("part", "w", driver="core", backing_store=False) as file:
+    with h5py.File(
+        "part", "w", driver="core", backing_store=False, libver=("v110", "v110")
+    ) as file:
         for name, values in {**arrays, _NOTE: np.frombuffer(text, dtype=np.uint8)}.items():
             data = np.atleast_1d(values)
             if data.dtype.kind == "U":

@@ -116,7 +116,7 @@ def create(
     """
     import h5py
 
-    with h5py.File(path, "w", libver=("v108", "v110")) as file:
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
         file.attrs.update(
             format=FORMAT, format_version=FORMAT_VERSION, task="sweep", conventions=CONVENTIONS
         )

@@ -116,7 +116,7 @@ class ResultWriter:
             self.stream = _PatientFile(self.temporary, "w+")
         except OSError as error:
             raise CaseError(f"{path}: cannot be created ({error.strerror})") from None
-        self.file: h5py.File = h5py.File(self.stream, "w", libver=("v108", "v110"))
+        self.file: h5py.File = h5py.File(self.stream, "w", libver=("v110", "v110"))
         self.file.attrs.update(
             format=FORMAT, format_version=FORMAT_VERSION, task=task, conventions=CONVENTIONS
         )
