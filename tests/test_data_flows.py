@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import qbxstokes as qs
 from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.reference.jeffery import axis_at
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -140,3 +141,36 @@ def test_a_case_takes_expressions() -> None:
     )
     exact = jeffery(lambda t: np.cos(t) * np.outer([1, 0, 0], [0, 1, 0]), 0.2, AXIS, 6.0)
     assert np.abs(simulation.integrate([6.0]).axis[-1] - exact).max() < 1e-7
+
+
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_a_shear_that_is_still_at_first_and_then_strong(k: float) -> None:
+    """What the steps have to be good for shows at no single instant."""
+    flow = qs.flow("linear", gradient=[[0, "200*sin(t)", 0], [0, 0, 0], [0, 0, 0]])
+    motion = qs.Body(k).integrate(flow, [8.0], orientation=AXIS, tolerance=1e-6)
+    exact = axis_at(200.0 * (1.0 - np.cos(8.0)), k, AXIS)
+    assert np.abs(motion.axis[-1] - exact).max() < 1e-6
+
+
+def test_lanes_with_gradients_of_their_own_are_those_alone() -> None:
+    body, times = qs.Body(0.2), np.linspace(0.0, 3.0, 4)
+    flows = [qs.flow("linear", gradient=cosines(seed)) for seed in (1, 2)]
+    flows.append(qs.flow("shear"))
+    scenes = [
+        qs.Simulation(body, flow, orientation=[AXIS, [1, 0, 0]], tolerance=1e-8) for flow in flows
+    ]
+    together = qs.Simulation.stack(scenes).integrate(times)
+    for place, scene in enumerate(scenes):
+        alone = scene.integrate(times)
+        assert np.abs(together.axis[2 * place : 2 * place + 2] - alone.axis).max() < 1e-7
+
+
+@pytest.mark.parametrize("stokes_number", [0.0, 3.0])
+def test_compiled_blocks_and_single_bodies_agree(stokes_number: float) -> None:
+    flow = qs.flow("linear", gradient=cosines(4))
+    body = qs.Body(0.5, stokes_number=stokes_number)
+    axes = np.random.default_rng(1).standard_normal((9, 3))
+    block = body.integrate(flow, [4.0], orientation=axes, tolerance=1e-9)
+    for place in (0, 8):
+        alone = body.integrate(flow, [4.0], orientation=axes[place], tolerance=1e-9)
+        assert np.abs(block.axis[place, -1] - alone.axis[-1]).max() < 1e-8

@@ -1,6 +1,7 @@
 """Background flows: Stokes flows in which the body moves."""
 
 from qbxstokes.flows.base import Flow, SumFlow, add_flows
+from qbxstokes.flows.changing import LinearInTime
 from qbxstokes.flows.check import (
     StokesianReport,
     check_regular,
@@ -19,7 +20,7 @@ from qbxstokes.flows.named import (
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
-from qbxstokes.flows.series import GradientSeries, LinearInTime
+from qbxstokes.flows.series import GradientSeries
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths

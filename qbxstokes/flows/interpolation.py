@@ -22,21 +22,3 @@ def power_weights(times: Array, interpolation: str) -> tuple[NDArray[np.int64], 
     nodes = times[first[:, None] + np.arange(count)]
     s = (nodes - times[:-1, None]) / np.diff(times)[:, None]
     return first, np.linalg.inv(s[:, :, None] ** np.arange(count))
-
-
-def window(times: Array, t: float, count: int) -> int:
-    """First of the `count` samples that an instant is interpolated from."""
-    interval = min(max(int(np.searchsorted(times, t, "right")) - 1, 0), len(times) - 2)
-    if count == 1 and t >= times[-1]:
-        interval = len(times) - 1
-    return min(max(interval - count // 2 + 1 - (count == 1), 0), len(times) - count)
-
-
-def lagrange(nodes: Array, t: float) -> Array:
-    """Weights of the samples at `nodes` for the polynomial through them, at t."""
-    weights = np.ones(len(nodes))
-    for i, node in enumerate(nodes):
-        for j, other in enumerate(nodes):
-            if i != j:
-                weights[i] *= (t - other) / (node - other)
-    return weights

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.changing import LinearInTime, in_time
 from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.series import LinearInTime, in_time
 from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 _EXTENSIONS = {

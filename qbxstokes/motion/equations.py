@@ -34,6 +34,7 @@ from qbxstokes.motion.layout import N_MASSLESS, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
 from qbxstokes.motion.pieces import Inertia, Pieces
+from qbxstokes.motion.taylor import GRADIENT
 from qbxstokes.motion.tracing import specialise
 
 __all__ = ["Constraints", "Inertia", "Loads", "RigidBodyEquations"]
@@ -99,7 +100,7 @@ class RigidBodyEquations(Pieces):
 
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""
-        if not (self._steady_loads and self.compiled(evaluations)):
+        if self._changing or not (self._steady_loads and self.compiled(evaluations)):
             return None
         return self._block()
 
@@ -156,6 +157,8 @@ class RigidBodyEquations(Pieces):
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads.at(t)
+            if self._changing:
+                _put(flow, self._gradient_at(t))
             run(y, out, flow, body, loads, rates, follow, *more)
 
         return function
@@ -216,17 +219,21 @@ class RigidBodyEquations(Pieces):
 
         bodies = self.bodies
 
+        n_gradient = 9 if self._changing else 0
+        after_loads = 12 * handed
+
         def equations(rows: Any, more: Any) -> Any:
             pushes = tuple(more[:12]) if handed else loads
-            arguments = rows, self._flow, bodies.law, bodies.mobility, pushes
+            flow = self._flow_at(more[after_loads + n_rates :]) if n_gradient else self._flow
+            arguments = rows, flow, bodies.law, bodies.mobility, pushes
             if self.massless:
                 return bodies.kernels.massless(*arguments)
-            relaxation = more[-4:] if n_rates else rates
+            relaxation = more[after_loads : after_loads + 4] if n_rates else rates
             return bodies.kernels.inertial(*arguments, relaxation, bodies.gyration, self._follow)
 
         if self._flows.shared and bodies.models.shared:
-            kernel = specialise(equations, self.n_state, 12 * handed + n_rates)
-            if not (handed or n_rates):
+            kernel = specialise(equations, self.n_state, after_loads + n_rates + n_gradient)
+            if not (handed or n_rates or n_gradient):
                 return kernel
         else:
 
@@ -235,7 +242,8 @@ class RigidBodyEquations(Pieces):
 
         def with_numbers(t: float, rows: Any) -> Any:
             forces = self._rows(given.at(t)) if given is not None and handed else ()
-            return kernel(t, rows, (*forces, *(rates if n_rates else ())))
+            gradient = self._gradient_at(t) if n_gradient else ()
+            return kernel(t, rows, (*forces, *(rates if n_rates else ()), *gradient))
 
         return with_numbers
 
@@ -249,3 +257,9 @@ class RigidBodyEquations(Pieces):
             columns = [np.broadcast_arrays(*column) for column in columns]
         values = np.array(columns).imag.reshape(len(columns), self.n_state, self.n_lanes)
         return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / STEP)
+
+
+def _put(flow: Array, gradient: list[Any]) -> None:
+    """The numbers of a gradient into the table of a flow, (m,) or (m, n_lanes)."""
+    for row, value in enumerate(gradient, GRADIENT.start):
+        flow[row] = value

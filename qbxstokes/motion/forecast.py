@@ -45,7 +45,7 @@ class Forecast:
         """state (n_lanes, n_state) at t; tolerance: error accepted at the end."""
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
-        self._span = (end - t) * float(np.max(equations.time_rate(t, state)))
+        self._span = (end - t) * float(np.max(equations.mean_rate(t, state, end - t)))
         self._stiff_span = (end - t) * float(np.max(equations.stiffness))
 
     def tolerance(self, kind: str) -> float:

@@ -7,11 +7,14 @@ start, velocities, forces, rates and scales.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.changing import LinearInTime
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import frames
@@ -30,12 +33,14 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
-from qbxstokes.motion.taylor import pack_flow, unpack_flow
+from qbxstokes.motion.taylor import GRADIENT, pack_flow, unpack_flow
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
 
 Array = NDArray[np.float64]
+# Parts of a run after which a flow that changes is looked at beforehand.
+_SHARES = [0.04 * number for number in range(1, 25)]
 Evaluation = Literal["auto", "plain", "compiled"]
 Inertia = Literal["both", "translation", "rotation"]
 
@@ -91,7 +96,10 @@ class Pieces:
         self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
-        polynomial = {isinstance(entry, PolynomialFlow) for entry in self._flows.distinct}
+        kinds = (PolynomialFlow, LinearInTime)
+        polynomial = {isinstance(entry, kinds) for entry in self._flows.distinct}
+        # Of linear flows that change, the gradient in the table is that of the last instant.
+        self._changing = any(isinstance(entry, LinearInTime) for entry in self._flows.distinct)
         if polynomial == {True}:
             self._table = self._flows.table(pack_flow)
             self._degree = int(np.max(self._table[0]))
@@ -166,11 +174,29 @@ class Pieces:
         value = vectors(t) if callable(vectors) else vectors
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.n_lanes, 3))
 
+    def _gradient_at(self, t: float) -> list[Any]:
+        """The nine numbers of a gradient that changes, by rows; rows each for lanes that differ."""
+        if self._flows.shared:
+            found: list[Any] = self._flows.only.numbers(t)
+            return found
+        assert self._table is not None
+        gradient = self._table[GRADIENT]
+        for flow, lanes in self._flows.groups():
+            if isinstance(flow, LinearInTime):
+                gradient[:, lanes] = np.reshape(flow.numbers(t), (9, 1))
+        return list(gradient)
+
+    def _flow_at(self, gradient: Any) -> Any:
+        """The flow as the kernels take it, with another gradient."""
+        degree, velocity, _, second, third, origin = self._flow
+        return degree, velocity, tuple(gradient), second, third, origin
+
     def _free(self, t: float, rows: Any) -> Any:
         """Free motion, six numbers or rows."""
         if self._table is not None:
             kernels, law = self.bodies.kernels, self.bodies.law
-            return kernels.free(rows, self._flow, law)
+            flow = self._flow_at(self._gradient_at(t)) if self._changing else self._flow
+            return kernels.free(rows, flow, law)
         assert self._provider is not None
         y = np.stack([np.atleast_1d(row) for row in rows[:N_MASSLESS]], axis=-1)
         u, omega = self._provider.free_motion(
@@ -334,7 +360,7 @@ class Pieces:
         """
         k = self.bodies.effective_ratio
         slenderness = np.maximum(k, 1.0 / k)
-        turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
+        turns = self.mean_rate(t, y, horizon) * horizon / (2.0 * np.pi * slenderness)
         return float(np.max(slenderness * slenderness * np.maximum(1.0, turns)))
 
     def time_rate(self, t: float, y: Array) -> Array:
@@ -345,6 +371,15 @@ class Pieces:
         moving = np.linalg.norm(v, axis=-1) + np.linalg.norm(omega, axis=-1)
         rate = np.where(rate > 1e-12 * moving, rate, moving)
         return np.where(rate > 0.0, rate, 1.0)
+
+    def mean_rate(self, t: float, y: Array, horizon: float) -> Array:
+        """`time_rate` (n,), in linear flows that change its mean until `horizon` later."""
+        if not self._changing:
+            return self.time_rate(t, y)
+        found = [self.time_rate(t, y)]
+        with suppress(FlowError):  # told when the run comes to it
+            found += [self.time_rate(t + horizon * share, y) for share in _SHARES]
+        return np.asarray(np.mean(found, axis=0))
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
         """Velocity gradient at the centres, (n, 3, 3); of the free velocity with a provider."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.flows.changing import LinearInTime
 from qbxstokes.flows.polynomial import PolynomialFlow
 
 # float, complex or a NumPy row of either; numba infers its own types.
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 # Numbers of a flow, and how many of them the kernels of a degree read.
 N_FLOW = 64
 ROWS = {1: 16, 2: 34, 3: 64}
+GRADIENT = slice(7, 16)
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _TRIPLES = (
@@ -148,8 +150,13 @@ def add_third(x: Any, velocity: Any, gradient: Any, second: Any, n: Any) -> Any:
     return add(velocity, product(m, x), 1.0 / 6.0), add_matrix(gradient, m, 0.5), second
 
 
-def pack_flow(flow: PolynomialFlow) -> Array:
-    """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`)."""
+def pack_flow(flow: PolynomialFlow | LinearInTime) -> Array:
+    """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`).
+
+    One that changes is taken at t = 0.
+    """
+    if isinstance(flow, LinearInTime):
+        flow = PolynomialFlow(gradient=flow.at(0.0))
     second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
     third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
     degree = [max(flow.degree or 0, 1)]

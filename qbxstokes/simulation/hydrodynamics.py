@@ -19,7 +19,6 @@ from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow, LinearInTime
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
-from qbxstokes.motion.changing import ChangingMotion
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -263,9 +262,7 @@ class Former:
             return self._solve_motion(body, facts, solvers)
         if self._need.kind == "grid":
             return self._grid_motion(body, facts)
-        if isinstance(self._flow, LinearInTime):
-            return ChangingMotion(body.model, self._flow)
-        return self._flow.polynomial
+        return self._flow if isinstance(self._flow, LinearInTime) else self._flow.polynomial
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
         from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion
