@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from qbxstokes.runs.calls import sweep as sweep
     from qbxstokes.simulation.body import Body as Body
     from qbxstokes.simulation.body import flow as flow
+    from qbxstokes.simulation.dimensionless import response_time as response_time
+    from qbxstokes.simulation.dimensionless import stokes_number as stokes_number
     from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_bodies import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
@@ -59,8 +61,10 @@ _PUBLIC = {
     "langevin": "qbxstokes.simulation.langevin",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
+    "response_time": "qbxstokes.simulation.dimensionless",
     "rheology": "qbxstokes.simulation.rheology",
     "run": "qbxstokes.runs.calls",
+    "stokes_number": "qbxstokes.simulation.dimensionless",
     "sweep": "qbxstokes.runs.calls",
 }
 __all__ = ["__version__", *_PUBLIC]

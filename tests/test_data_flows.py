@@ -174,3 +174,14 @@ def test_compiled_blocks_and_single_bodies_agree(stokes_number: float) -> None:
     for place in (0, 8):
         alone = body.integrate(flow, [4.0], orientation=axes[place], tolerance=1e-9)
         assert np.abs(block.axis[place, -1] - alone.axis[-1]).max() < 1e-8
+
+
+def test_a_narrow_pulse_is_seen_with_a_longest_step() -> None:
+    gradient = [[0, "300*exp(-((t-7.3)/0.002)**2)", 0], [0, 0, 0], [0, 0, 0]]
+    strain = 300.0 * 0.002 * np.sqrt(np.pi)
+    flow = qs.flow("linear", gradient=gradient, longest_step=0.005)
+    motion = qs.Body(0.2).integrate(flow, [10.0], orientation=AXIS, tolerance=1e-8)
+    assert motion.summary["longest_step"] == 0.005
+    assert np.abs(motion.axis[-1] - axis_at(strain, 0.2, AXIS)).max() < 1e-7
+    with pytest.raises(FlowError, match="longest_step"):
+        qs.flow("linear", gradient=gradient, longest_step=0.0)

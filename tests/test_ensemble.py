@@ -302,3 +302,23 @@ def test_random_gradients_have_the_variances_they_are_to_have() -> None:
     # <A_11^2> and <A_12^2> of isotropic gradients are 1/15 and 2/15 of epsilon/nu.
     assert np.mean(gradient[:, 0, 0] ** 2) == pytest.approx(4.0 / 15.0, rel=0.05)
     assert np.mean(gradient[:, 1, 2] ** 2) == pytest.approx(8.0 / 15.0, rel=0.05)
+
+
+def test_no_more_is_read_at_once_than_a_tile() -> None:
+    times = np.linspace(0.0, 4.0, 41)
+    samples = smooth_gradients(9, 600, times).reshape(600, 41, 9)
+    sizes = []
+
+    class Lazy:
+        shape, ndim, dtype = samples.shape, 3, samples.dtype
+
+        def __getitem__(self, place: Any) -> Array:
+            sizes.append(samples[place].size)
+            return samples[place]
+
+    numbers = np.arange(600)[::-1]
+    series = qs.GradientSeries(times, Lazy()).chosen(numbers).part(slice(None), slice(2, 31))
+    found = qs.ensemble(body(0.2), series)
+    assert 0 < max(sizes) <= 256 * 29 * 9
+    inside = qs.GradientSeries(times[2:31], samples[::-1, 2:31])
+    assert np.array_equal(found.moments, qs.ensemble(body(0.2), inside).moments)

@@ -18,7 +18,7 @@ from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.series import TRACE, GradientSeries, series_of_file
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import Array, check_keys, tensor
+from qbxstokes.flows.values import Array, check_keys, number, tensor
 
 
 class LinearInTime(Flow):
@@ -45,7 +45,7 @@ class LinearInTime(Flow):
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
         """From {"gradient": ...}: rows of expressions, a function, a series, or {"file": ...}."""
-        check_keys(spec, ["gradient", "trajectory"], cls.type_name)
+        check_keys(spec, ["gradient", "trajectory", "longest_step"], cls.type_name)
         gradient, chosen = spec["gradient"], spec.get("trajectory")
         if isinstance(gradient, str):
             gradient = load_function(gradient)
@@ -56,7 +56,11 @@ class LinearInTime(Flow):
                 right = f"a whole number; all paths: sweep.axes: [{{flow.trajectory: {chosen}}}]"
                 raise FlowError(f"trajectory is {chosen!r}; {right}", ("trajectory",))
             gradient = gradient.path(int(chosen))
-        return cls(gradient, {"type": cls.type_name, **spec})
+        flow = cls(gradient, {"type": cls.type_name, **spec})
+        if spec.get("longest_step") is not None:
+            step = number(spec["longest_step"], "longest_step", positive=True)
+            flow.spacing = min(flow.spacing, step)
+        return flow
 
     def at(self, t: float) -> Array:
         """The gradient (3, 3) at time t; raises FlowError for what is none."""

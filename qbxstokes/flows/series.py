@@ -102,15 +102,17 @@ class GradientSeries:
         """Some of the paths, by their numbers, in their order."""
         if np.array_equal(numbers, np.arange(len(self))):
             return self
-        return self._with(self.times, Chosen(self._rows, numbers))
+        return self._with(self.times, View(self._rows, numbers, (0, len(self.times))))
 
     def thinned(self) -> GradientSeries:
         """The same of every other sample."""
-        return self.part(slice(None), slice(None, None, 2))
+        return self._with(self.times[::2], self._rows[:, ::2])
 
     def part(self, paths: slice, instants: slice) -> GradientSeries:
-        """Some of the paths, by their numbers, at some of the instants."""
-        return self._with(self.times[instants], self._rows[paths, instants])
+        """Some of the paths, by their numbers, at some of the instants; nothing is read."""
+        first, last, _ = instants.indices(len(self.times))
+        numbers = None if paths == slice(None) else np.arange(*paths.indices(len(self)))
+        return self._with(self.times[first:last], View(self._rows, numbers, (first, last)))
 
     @property
     def _rows(self) -> Any:
@@ -256,19 +258,33 @@ def series_of_case(spec: Mapping[str, Any], folder: Path) -> GradientSeries:
     return series_of_file(resolve_paths(given, folder))
 
 
-class Chosen:
-    """Some paths of samples (paths, T, components), in their order, read as they are asked for."""
+class View:
+    """Some paths and instants of samples (paths, T, components), read as they are asked for.
 
-    def __init__(self, whole: Any, numbers: NDArray[np.int64]) -> None:
-        self._whole, self._numbers = whole, numbers
-        self.shape = (len(numbers), *whole.shape[1:])
-        self.ndim, self.dtype = 3, whole.dtype
+    numbers: of the paths in their order, None for all. instants: first and last but one.
+    """
+
+    ndim = 3
+
+    def __init__(
+        self, whole: Any, numbers: NDArray[np.int64] | None, instants: tuple[int, int]
+    ) -> None:
+        self._whole, self._numbers, self._first = whole, numbers, instants[0]
+        count = whole.shape[0] if numbers is None else len(numbers)
+        self.shape = (count, instants[1] - instants[0], whole.shape[2])
+        self.dtype = whole.dtype
 
     def __getitem__(self, place: Any) -> Any:
         """By paths and instants."""
         paths, instants = place
+        start, stop, step = instants.indices(self.shape[1])
+        instants = slice(self._first + start, self._first + stop, step)
+        if self._numbers is None:
+            return self._whole[paths, instants]
+        if not isinstance(paths, slice):
+            return self._whole[int(self._numbers[paths]), instants]
         rows = [self._whole[int(number), instants] for number in self._numbers[paths]]
-        return np.stack(rows) if rows else np.empty((0, *self.shape[1:]))
+        return np.stack(rows) if rows else np.empty((0, stop - start, self.shape[2]))
 
 
 class InFile:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -49,10 +50,13 @@ class UserFlow(Flow):
         length: float = 1.0,
         singular_points: ArrayLike | None = None,
         parameters: Mapping[str, Any] | None = None,
+        longest_step: float | None = None,
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
         self.parameters = dict(parameters or {})
+        if longest_step is not None:
+            self.spacing = number(longest_step, "longest_step", positive=True)
         self.function = function if callable(function) else load_function(function)
         self.name = function if isinstance(function, str) else _name_of(function)
         if singular_points is None or np.size(singular_points) == 0:
@@ -149,6 +153,7 @@ class UserFlow(Flow):
             "length": self.length,
             "singular_points": self._singular_points.tolist(),
             "parameters": self.parameters,
+            **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
         }
 
     def shifted(self, displacement: ArrayLike) -> Flow:

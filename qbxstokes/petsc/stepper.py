@@ -121,6 +121,7 @@ def integrate(
         refusal=run.refusal,
         failure=run.failure,
         reached=run.reached,
+        longest_step=longest_step,
     )
 
 

@@ -65,7 +65,8 @@ class Trajectory:
     last sample is then that instant. refusal: what the flow said where it let no step through, near
     a singular point; failure: why the integration cannot go on; both end the run as well, with the
     last state it reached. reached: the instant that the steps came to, beyond the last cut where it
-    was interrupted. The record of the integration is in `checkpoint`.
+    was interrupted. longest_step: the bound on the steps. The record of the integration is in
+    `checkpoint`.
     """
 
     times: Array
@@ -76,3 +77,4 @@ class Trajectory:
     refusal: str = ""
     failure: str = ""
     reached: float = 0.0
+    longest_step: float | None = None

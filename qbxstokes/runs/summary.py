@@ -333,6 +333,12 @@ def _solved(summary: dict[str, Any]) -> Rows:
         f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+    if "longest_step" in steps:
+        yield (
+            "",
+            f"none longer than {steps['longest_step']:.3g}, for flow or loads change in time; what "
+            "changes within much less needs flow.longest_step",
+        )
     if "changed" in steps:
         yield "", steps["changed"]
     if "field" in summary:

@@ -219,7 +219,8 @@ class Ensemble:
         odd = len(times) - (len(times) + 1) % 2
         order = INTERPOLATIONS[self.series.interpolation]
         n = min(BLOCK, self.paths)
-        whole = self.series.part(slice(0, n), slice(0, odd))
+        samples = self.series.read(0, n, 0, odd)
+        whole = GradientSeries(times[:odd], samples, interpolation=self.series.interpolation)
         if len(whole.thinned().times) < max(2, order):
             return {}
         fine, coarse = (self.follow(0, one)[1] for one in (whole, whole.thinned()))

@@ -242,5 +242,6 @@ def integration_facts(trajectory: Any) -> dict[str, Any]:
         "local_tolerance": record.local_tolerance,
         "reachable_error": record.reachable,
         "quaternion_norm_drift": record.norm_drift,
+        **({"longest_step": trajectory.longest_step} if trajectory.longest_step else {}),
         **({"changed": record.changed} if record.changed else {}),
     }
