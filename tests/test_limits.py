@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import ENVIRONMENT, Run
 
@@ -209,3 +210,11 @@ def test_foreign_and_damaged_files_are_told(
                 done = run_cli(words[0], name)
                 assert done.returncode in (0, 2), (task, name, words)
     assert json.loads(run_cli("info", "m.h5", "--json").stdout)["task"] == "motion"
+
+
+@pytest.mark.parametrize("k", [0.02, 0.05, 50.0])
+def test_thin_bodies_keep_their_period(k: float) -> None:
+    """Ten periods at 1e-10: the small part of the law is solved to its own relative accuracy."""
+    axis, end = np.array([0.48, 0.6, 0.64]), 20.0 * np.pi * (k + 1.0 / k)
+    motion = qs.Body(k).integrate(qs.flow("shear"), [end], orientation=axis, tolerance=1e-10)
+    assert np.abs(motion.axis[-1] - axis).max() < 1e-9

@@ -145,7 +145,7 @@ class FormedBody:
         facts = {
             "scheme": section.scheme,
             "completion": need.completion,
-            "gmres_tolerance": solver_tolerance(section),
+            "gmres_tolerance": solver_tolerance(section, self.shape),
             "cache": "found" if workshop.cache.found > before else "formed",
             "n_phi": body.functional.grid.n_phi,
             **vars(body.scheme),

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
 _TIGHTEST_SOLVE = 1e-14
+# Share of the rotation below which a body is a thin one, or a flat one: k = 1/8 and 8.
+_THIN = 1.0 / 64.0
 # Share of the tolerance that the grid of a flow that is not polynomial may take.
 _FLOW_SHARE = 0.1
 
@@ -147,7 +149,7 @@ def form_body(
     """
     cache, scheme = workshop.cache, explicit_scheme(section)
     solvers: list[Any] = []
-    residual = solver_tolerance(section)
+    residual = solver_tolerance(section, shape)
     key = {
         "shape": shape.spec(),
         "degree": degree,
@@ -235,7 +237,8 @@ def solver_factory(section: Hydrodynamics, solvers: list[Any]) -> Callable[[Any,
         session.start()
         from qbxstokes.petsc.gmres import GmresSolver
 
-        solver = GmresSolver(operator, grid, solver_tolerance(section), section.preconditioner)
+        residual = solver_tolerance(section, grid.shape)
+        solver = GmresSolver(operator, grid, residual, section.preconditioner)
         solvers.append(solver)
         return solver
 
@@ -357,8 +360,15 @@ def explicit_scheme(section: Hydrodynamics) -> Scheme | None:
     return GradedScheme(**{**asdict(rest), **chosen})
 
 
-def solver_tolerance(section: Hydrodynamics) -> float:
-    """Relative residual that GMRES has to reach."""
+def solver_tolerance(section: Hydrodynamics, shape: Shape) -> float:
+    """Relative residual that GMRES has to reach.
+
+    The period of a thin or flat body follows from what a shear along it leaves of its rotation,
+    k^2 of the whole: its law is solved to as much less.
+    """
     if section.gmres_tolerance is not None:
         return float(section.gmres_tolerance)
-    return max(_SOLVE_MARGIN * section.tolerance, _TIGHTEST_SOLVE)
+    k = shape.effective_ratio or 1.0
+    left = min(k, 1.0 / k) ** 2
+    share = left if left < _THIN else 1.0
+    return max(_SOLVE_MARGIN * section.tolerance * share, _TIGHTEST_SOLVE)

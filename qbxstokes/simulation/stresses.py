@@ -52,7 +52,7 @@ def form_stresslet(
         "shape": shape.spec(),
         "tolerance": section.tolerance,
         "scheme": [section.scheme, asdict(scheme)],
-        "residual": solver_tolerance(section),
+        "residual": solver_tolerance(section, shape),
         "preconditioner": section.preconditioner,
     }
     grid = scheme.grid(shape, N_PHI)
