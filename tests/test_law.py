@@ -38,8 +38,8 @@ def test_reciprocity_by_the_other_route(k):
     columns = []
     for data in [*one.rigid, *(one.grid.points @ strain for strain in STRAIN_BASIS)]:
         sent = one.coefficients(data)
-        stresslet = np.einsum("aij,ij->a", STRAIN_BASIS, one.first_moment(sent))
-        columns.append(np.concatenate([one.force_torque(sent), stresslet]))
+        stresslet = np.einsum("aij,ij->a", STRAIN_BASIS, one.harmonics.first_moment(sent))
+        columns.append(np.concatenate([one.harmonics.force_torque(sent), stresslet]))
     other, law = np.stack(columns, axis=1), body(k).law().grand_resistance
     size = np.sqrt(np.outer(np.diag(law), np.diag(law)))
     assert np.abs((other - other.T) / size).max() < 1e-13
@@ -71,7 +71,7 @@ def test_translation_theorem_against_the_motion(k):
     around = flow(u, w, strain, POINT)
     centre = v - np.cross(omega, POINT)
     motion = {"velocity": centre, "angular_velocity": omega}
-    f, t = one.force_torque(around, **motion)
+    f, t = one.harmonics.force_torque(around, **motion)
     stress = one.stresslet(around, **motion)
     stress = stress - 0.5 * (np.outer(POINT, f) + np.outer(f, POINT)) + POINT @ f / 3.0 * np.eye(3)
     found = law.grand_resistance @ np.concatenate(

@@ -229,7 +229,7 @@ class Coupled:
         """Flow of body b with boundary velocity v, and the motion alone of the same force."""
         one = self.maps[b]
         c = one.coefficients(v)
-        return c, one.force_torque(c) / np.diag(one.resistance)
+        return c, one.harmonics.force_torque(c) / np.diag(one.resistance)
 
     @cached_property
     def rigid_flows(self) -> list[ComplexArray]:
@@ -256,14 +256,14 @@ class Coupled:
             self._tables[key] = table
         return table
 
-    def table_at(self, c: int, points: Array, mirrored: bool, second: bool = False) -> Table:
+    def table_at(self, c: int, points: Array, mirrored: bool) -> Table:
         """Harmonics of body c at points of space, or at their mirror images."""
         if mirrored:
             assert self.wall is not None
             points = self.wall.mirrored(points)
         x = self.bodies[c].to_body(points)
         one = self.maps[c]
-        return one.table(x, one.degree_for(x, self.tolerance), mirrored or second)
+        return one.harmonics.table(x, one.degree_for(x, self.tolerance), mirrored)
 
     def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
         """Velocity (N, 3), in space, of body c's own flow at points of space."""
@@ -329,12 +329,12 @@ class Coupled:
 
     def force(self, b: int, flow: ComplexArray) -> Array:
         """Force and torque (6,) that body b exerts on the fluid, in space."""
-        return self.to_space(b, self.maps[b].force_torque(flow), forces=True)
+        return self.to_space(b, self.maps[b].harmonics.force_torque(flow), forces=True)
 
     def stresslet(self, b: int, flow: ComplexArray) -> Array:
         """Stresslet (3, 3) of body b in space: sym-traceless first moment of the traction on it."""
         body = self.bodies[b]
-        d = -self.maps[b].first_moment(flow) * body.size**2
+        d = -self.maps[b].harmonics.first_moment(flow) * body.size**2
         d = 0.5 * (d + d.T) - np.trace(d) / 3.0 * np.eye(3)
         return np.asarray(body.rotation @ d @ body.rotation.T)
 

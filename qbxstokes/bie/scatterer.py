@@ -9,7 +9,6 @@ radius.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -17,45 +16,14 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.qbx.confocal import Harmonics, Table
 from qbxstokes.qbx.exterior import SurfaceToExterior
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class Scatterer:
-    """Exterior flows from velocities on n polar and 2 n azimuthal nodes, by exterior harmonics."""
-
-    shape: Revolution
-    n: int
-
-    @cached_property
-    def grid(self) -> SurfaceGrid:
-        """The surface grid."""
-        return SurfaceGrid(self.shape, self.n, 2 * self.n)
-
-    @cached_property
-    def _map(self) -> SurfaceToExterior:
-        return SurfaceToExterior(self.grid, self.n - 2)
-
-    @property
-    def harmonics(self) -> Harmonics:
-        """The exterior harmonics, orders 0..n and degrees up to n - 1."""
-        return self._map.harmonics
-
-    def coefficients(self, velocity: Array) -> ComplexArray:
-        """Coefficients (4, orders, degree + 1) of the flow with velocity (N, 3) on the grid."""
-        return self._map.coefficients(velocity)
-
-    def first_moment(self, c: ComplexArray) -> Array:
-        """Moment D (3, 3), D[i, j] = int y_i mu_j, of the single-layer density."""
-        return self.harmonics.first_moment(c)
-
-    def force_torque(self, c: ComplexArray) -> Array:
-        """Force and torque (6,) of the body ON the fluid, body frame."""
-        return self.harmonics.force_torque(c)
+class Scatterer(SurfaceToExterior):
+    """Exterior flows from velocities on n polar and 2 n azimuthal nodes; made by `scatterer`."""
 
     @cached_property
     def rigid(self) -> Array:
@@ -69,29 +37,25 @@ class Scatterer:
     @cached_property
     def resistance(self) -> Array:
         """Resistance (6, 6) of the body alone: (force, torque) on the fluid per velocity."""
-        columns = [self.force_torque(self.coefficients(v)) for v in self.rigid]
+        columns = [self.harmonics.force_torque(self.coefficients(v)) for v in self.rigid]
         return np.diag(np.diag(np.stack(columns, axis=1)))
 
     @cached_property
     def root_weights(self) -> Array:
         """Root (N, 1) of the weights of the parameter sphere, normalised to sum of squares 1."""
-        w = np.repeat(self.grid.theta_weights * np.sin(self.grid.theta), 2 * self.n)
+        w = np.repeat(self.grid.theta_weights * np.sin(self.grid.theta), self.grid.n_phi)
         return np.asarray(np.sqrt(w / w.sum())[:, None])
 
     def degree_for(self, points: Array, tolerance: float) -> int:
         """Degree beyond which harmonics are below tolerance at points (N, 3) of the body frame."""
-        decay = self.shape.decay(points).max()
+        decay = self.grid.shape.decay(points).max()
         top = self.harmonics.degree
         if decay >= 1.0:
             return top
         return int(min(max(3, np.ceil(np.log(tolerance) / np.log(decay)) + 2), top))
 
-    def table(self, points: Array, degree: int, second: bool) -> Table:
-        """The harmonics up to a degree at points (P, 3) of the body frame; second derivatives."""
-        return self.harmonics.table(points, degree, second)
-
 
 @lru_cache(maxsize=64)
 def scatterer(shape: Revolution, n: int) -> Scatterer:
     """The one scatterer of a shape and a number of polar nodes."""
-    return Scatterer(shape, n)
+    return Scatterer(SurfaceGrid(shape, n, 2 * n), n - 2)

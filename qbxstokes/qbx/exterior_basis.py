@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from qbxstokes.qbx.exterior_kernel import all_ratios, confocal
+from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal
 
 
 @njit(cache=True)
@@ -37,22 +37,9 @@ def tabulate(  # type: ignore[no-untyped-def]
         inv = 1.0 / delta
         gx, gy, gz = x * gamma * inv, y * gamma * inv, eta * alpha2 * inv
         hx, hy, hz = -x * eta * inv, -y * eta * inv, gamma * sine2 * inv
-        # Second derivatives of gamma and eta: (d_j N_i - gamma_i d_j delta) / delta.
-        dx = 2.0 * (gamma * gx - e2 * eta * hx)
-        dy = 2.0 * (gamma * gy - e2 * eta * hy)
-        dz = 2.0 * (gamma * gz - e2 * eta * hz)
-        gxx = (gamma + x * gx - gx * dx) * inv
-        gyy = (gamma + y * gy - gy * dy) * inv
-        gxy = (x * gy - gx * dy) * inv
-        gxz = (x * gz - gx * dz) * inv
-        gyz = (y * gz - gy * dz) * inv
-        gzz = (hz * alpha2 + 2.0 * eta * gamma * gz - gz * dz) * inv
-        hxx = (-eta - x * hx - hx * dx) * inv
-        hyy = (-eta - y * hy - hy * dy) * inv
-        hxy = (-x * hy - hx * dy) * inv
-        hxz = (-x * hz - hx * dz) * inv
-        hyz = (-y * hz - hy * dz) * inv
-        hzz = (gz * sine2 - 2.0 * gamma * eta * hz - hz * dz) * inv
+        gxx, gyy, gzz, gxy, gxz, gyz, hxx, hyy, hzz, hxy, hxz, hyz = bends(
+            x, y, gamma, eta, alpha2, sine2, e2, inv, (gx, gy, gz), (hx, hy, hz)
+        )
         zk = complex(x, y) / k
         w, w1, w2 = complex(1.0, 0.0), complex(0.0, 0.0), complex(0.0, 0.0)
         start = 1.0

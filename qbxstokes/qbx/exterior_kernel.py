@@ -90,6 +90,33 @@ def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untype
 
 
 @njit(cache=True)
+def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-untyped-def]
+    """Second derivatives of gamma and of eta, xx, yy, zz, xy, xz, yz each, from the first g and h.
+
+    (d_j N_i - gamma_i d_j delta) / delta.
+    """
+    gx, gy, gz = g
+    hx, hy, hz = h
+    dx = 2.0 * (gamma * gx - e2 * eta * hx)
+    dy = 2.0 * (gamma * gy - e2 * eta * hy)
+    dz = 2.0 * (gamma * gz - e2 * eta * hz)
+    return (
+        (gamma + x * gx - gx * dx) * inv,
+        (gamma + y * gy - gy * dy) * inv,
+        (hz * alpha2 + 2.0 * eta * gamma * gz - gz * dz) * inv,
+        (x * gy - gx * dy) * inv,
+        (x * gz - gx * dz) * inv,
+        (y * gz - gy * dz) * inv,
+        (-eta - x * hx - hx * dx) * inv,
+        (-eta - y * hy - hy * dy) * inv,
+        (gz * sine2 - 2.0 * gamma * eta * hz - hz * dz) * inv,
+        (-x * hy - hx * dy) * inv,
+        (-x * hz - hx * dz) * inv,
+        (-y * hz - hy * dz) * inv,
+    )
+
+
+@njit(cache=True)
 def evaluate(  # type: ignore[no-untyped-def]
     points,
     k,
@@ -173,22 +200,9 @@ def evaluate(  # type: ignore[no-untyped-def]
         fxz = 0.0
         fyz = 0.0
         if with_stress:
-            # Second derivatives of gamma and eta: (d_j N_i - gamma_i d_j delta) / delta.
-            dx = 2.0 * (gamma * gx - e2 * eta * hx)
-            dy = 2.0 * (gamma * gy - e2 * eta * hy)
-            dz = 2.0 * (gamma * gz - e2 * eta * hz)
-            gxx = (gamma + x * gx - gx * dx) * inv
-            gyy = (gamma + y * gy - gy * dy) * inv
-            gxy = (x * gy - gx * dy) * inv
-            gxz = (x * gz - gx * dz) * inv
-            gyz = (y * gz - gy * dz) * inv
-            gzz = (hz * alpha2 + 2.0 * eta * gamma * gz - gz * dz) * inv
-            hxx = (-eta - x * hx - hx * dx) * inv
-            hyy = (-eta - y * hy - hy * dy) * inv
-            hxy = (-x * hy - hx * dy) * inv
-            hxz = (-x * hz - hx * dz) * inv
-            hyz = (-y * hz - hy * dz) * inv
-            hzz = (gz * sine2 - 2.0 * gamma * eta * hz - hz * dz) * inv
+            gxx, gyy, gzz, gxy, gxz, gyz, hxx, hyy, hzz, hxy, hxz, hyz = bends(
+                x, y, gamma, eta, alpha2, sine2, e2, inv, (gx, gy, gz), (hx, hy, hz)
+            )
         zk = complex(x, y) / k
         w = complex(1.0, 0.0)
         w1 = complex(0.0, 0.0)
