@@ -71,7 +71,7 @@ def test_translation_theorem_against_the_motion(k):
     around = flow(u, w, strain, POINT)
     centre = v - np.cross(omega, POINT)
     motion = {"velocity": centre, "angular_velocity": omega}
-    f, t = one.harmonics.force_torque(around, **motion)
+    f, t = one.force_torque(around, **motion)
     stress = one.stresslet(around, **motion)
     stress = stress - 0.5 * (np.outer(POINT, f) + np.outer(f, POINT)) + POINT @ f / 3.0 * np.eye(3)
     found = law.grand_resistance @ np.concatenate(
