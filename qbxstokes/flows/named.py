@@ -153,7 +153,7 @@ class WallStagnation(PolynomialFlow):
     def __init__(self, rate: float = 1.0, kind: str = "axisymmetric") -> None:
         """Raises FlowError for an unknown kind."""
         shares = {"axisymmetric": (1.0, 1.0), "planar": (2.0, 0.0)}
-        if kind not in shares:
+        if not isinstance(kind, str) or kind not in shares:
             raise FlowError(f"kind is {kind!r}; one of {', '.join(shares)}", ("kind",))
         strength = number(rate, "rate")
         hessian = np.zeros((3, 3, 3))
