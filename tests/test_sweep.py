@@ -690,7 +690,10 @@ def test_memory_does_not_grow_with_the_sweep(write: Callable[..., Path], tmp_pat
     "case", sorted((ROOT / "cases").glob("sweep_*.yaml")), ids=lambda p: p.stem
 )
 def test_cases_give_what_they_promise(case: Path, tmp_path: Path) -> None:
-    """Their massless trajectories have Jeffery's period and keep their orbit."""
+    """Their massless trajectories have Jeffery's period and, in a shear, keep their orbit.
+
+    A parabolic flow carries bodies across it and back, to another rate.
+    """
     target = tmp_path / "case.h5"
     few = ["--set", "time.samples=41", "--set", "time.tolerance=1e-6"]
     assert run_command([str(case), "--quiet", *few, "--set", f"output.file={target}"]) == 0
@@ -698,4 +701,5 @@ def test_cases_give_what_they_promise(case: Path, tmp_path: Path) -> None:
     massless = table["stokes_number"] == 0 if "stokes_number" in table.dtype.names else ...
     period = table["period"][massless] / table["jeffery_period"][massless]
     assert np.nanmax(np.abs(period - 1.0)) < 1e-5
-    assert np.nanmax(np.abs(table["orbit_drift"][massless])) < 1e-4
+    if "type: shear" in case.read_text():
+        assert np.nanmax(np.abs(table["orbit_drift"][massless])) < 1e-4
