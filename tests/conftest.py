@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,14 @@ def script(name: str) -> Any:
     path = ROOT / "cases" / f"{name}.py"
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
-    return import_module(path.stem)
+    unique = name.replace("/", "_")  # two folders may each have a script of a name
+    if unique not in sys.modules:
+        spec = spec_from_file_location(unique, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[unique] = module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[unique])
+    return sys.modules[unique]
 
 
 def random_flow(degree: int, rng: np.random.Generator) -> PolynomialFlow:
