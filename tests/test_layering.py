@@ -21,7 +21,7 @@ ROOT = Path(qbxstokes.__file__).parent
 PACKAGE = "qbxstokes"
 
 LEVELS = (
-    {"geometry", "flows", "reference", "quantities", "solver_options"},
+    {"geometry", "flows", "reference", "quantities", "solver_options", "units"},
     {"qbx"},
     {"bie"},
     {"motion"},
@@ -43,6 +43,7 @@ HOMES = {
     "yaml": {"case"},
     "h5py": {"io", "flows"},
     "matplotlib": {"plots"},
+    "pint": {"units"},
     "pandas": {"io"},
     "xarray": {"io"},
     "tqdm": {"runs"},

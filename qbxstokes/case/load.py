@@ -103,6 +103,9 @@ def _space(data: dict[str, Any], folder: Path) -> SweepSpace:
         known = {TABLE, "petsc", *(name for name, k in Case.declared.items() if k.reader.section)}
         for number, axis in enumerate(section.axes):
             for name in axis:
+                if parse_key(name)[0] == "units":
+                    wrong, instead = "are those of all trajectories", "sweep what follows from them"
+                    raise Problem(wrong, instead, ("axes", number, name))
                 if parse_key(name)[0] not in known:
                     right = meant(name, dict(keys()), "a key such as body.aspect_ratio")
                     raise Problem("unknown key", right, ("axes", number, name))

@@ -22,6 +22,7 @@ from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, 
 from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
 from qbxstokes.case.statistics import Statistics
 from qbxstokes.case.sweep import Sweep
+from qbxstokes.case.units import Units, nondimensional
 from qbxstokes.case.values import Problem, describe
 from qbxstokes.solver_options import foreign_to_a_case, misleading
 
@@ -111,6 +112,7 @@ class Case(Section, **_MOVED):
         [{"aspect_ratio": 0.5}, {"aspect_ratio": 1.0, "size": 2.0}],
     )
     surroundings: Surroundings | None = key("what bounds the fluid; unset: nothing", None)
+    units: Units | None = key("physical scales; other keys then take numbers with units", None)
     flow: FlowSection | None = key("the background flow (unset: none, with task: body or bodies)")
     start: Start = key("state at time 0", Start())
     forces: Forces = key("external force and torque, gravity", Forces())
@@ -145,6 +147,8 @@ class Case(Section, **_MOVED):
         """
         if not isinstance(data, dict):
             return data
+        if data.get("units") is not None:
+            data = nondimensional(data)
         opened = {name for name, k in cls.declared.items() if k.reader.section and k.default}
         opened.add("body")
         data = {n: {} if value is None and n in opened else value for n, value in data.items()}

@@ -114,7 +114,7 @@ def to_number(value: Any) -> float:
         if isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]+,[0-9]+", value.strip()):
             right = f"write a point for the comma: {value.strip().replace(',', '.')}"
         elif isinstance(value, str) and re.fullmatch(r"[-+.0-9eE]+ *[A-Za-z/^0-9]+", value.strip()):
-            right += ", without a unit: lengths are in c, times in tau"
+            right += ", without a unit: lengths are in c, times in tau (`help units`)"
         raise Problem(f"{describe(value)} is not a number", right) from None
     if not math.isfinite(number):
         raise Problem(f"{describe(value)} is not finite", "a finite number is expected")

@@ -83,6 +83,7 @@ options
   -o WHERE            folder of the files (default: here), or a file, whose
                       ending then says the format
   --trajectory N      of a sweep: the samples of one trajectory
+  --units             in physical units, of a case with a section `units`
   --overwrite         replace files that are there
   --quiet, --json     print nothing; print the names of the files as JSON
 """
@@ -118,7 +119,7 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         for name in ("--y", "--by", "--histogram"):
             parser.add_argument(name, type=_listed, action="extend", default=[])
     elif command == "export":
-        for flag in (*_FLAGS.values(), "overwrite"):
+        for flag in (*_FLAGS.values(), "overwrite", "units"):
             parser.add_argument(f"--{flag}", action="store_true")
     else:
         parser.add_argument("--frames", type=int)
@@ -257,6 +258,8 @@ def _export(options: argparse.Namespace) -> list[Path]:
         raise CaseError(f"{single}: one file for several results; name a folder")
     kinds = [kind for kind in EXPORTED if getattr(options, _FLAGS[kind])] or ["csv"]
     results = [_opened(Path(name), options.trajectory) for name in options.files]
+    if options.units:
+        results = [result.in_units() for result in results]
     folder = _make_folder(single.parent if single else options.output)
     written: list[Path] = []
     for result in results:

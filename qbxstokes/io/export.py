@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, needed
+from qbxstokes.io.listing import KNOWN
 from qbxstokes.quantities import FLUID, POINT, SURFACE
 
 if TYPE_CHECKING:
@@ -174,8 +175,25 @@ def _sets(result: Result) -> dict[str, dict[str, Array]]:
 def _csv(result: Result, path: Path) -> list[Path]:
     sets = _sets(result)
     if not sets:
-        return [_rows(columns(result)[1], path)]
-    return [_rows(table, path.with_stem(f"{path.stem}-{name}")) for name, table in sets.items()]
+        return [_rows(_headed(result, columns(result)[1]), path)]
+    return [
+        _rows(_headed(result, table), path.with_stem(f"{path.stem}-{name}"))
+        for name, table in sets.items()
+    ]
+
+
+def _headed(result: Result, table: dict[str, Array]) -> dict[str, Array]:
+    """Columns under their names, with their units where these are physical."""
+    if result.converted_by is None:
+        return table
+    swept = result.attributes.get("table", {})
+    fields, found = result.fields, {}
+    for name, column in table.items():
+        wholes = [whole for whole in (*result.shapes, *KNOWN) if name.startswith(whole)]
+        whole = max(wholes, key=len, default="")
+        units = swept.get(f"{name}: units") or fields.units(whole)
+        found[f"{name} [{units}]" if units not in ("", "1") else name] = column
+    return found
 
 
 def _rows(table: Mapping[str, Array], path: Path) -> Path:

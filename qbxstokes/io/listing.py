@@ -12,18 +12,26 @@ from qbxstokes.quantities import FLUID, HALF_TURN, INSTANT, MOTION, POINT, SURFA
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
+    from qbxstokes.units import Scales
 
 Shape = tuple[int, ...]
 
 # Of what stands in groups, the files' own attributes of which are not read.
-_KNOWN = {"time": INSTANT, **FLUID, **POINT, **SURFACE, **HALF_TURN}
+KNOWN = {"time": INSTANT, **FLUID, **POINT, **SURFACE, **HALF_TURN}
 _WIDTH = 100
+
+
+def units_in_groups(name: str) -> str:
+    """Units of an array in a group, by its name, '' where none are known."""
+    known = KNOWN.get(name)
+    return known.units if known else ""
 
 
 class Held(Mapping[str, Any]):
     """Arrays by name, or groups of them, as items and attributes; it shows shapes and units.
 
-    shapes, about: shapes and attributes of the arrays by name, where they are known beforehand.
+    shapes, about: shapes and attributes of the arrays by name, where they are known beforehand;
+    scales: by which those are converted of which a name alone tells the units.
     """
 
     def __init__(
@@ -31,12 +39,14 @@ class Held(Mapping[str, Any]):
         arrays: Mapping[str, Any],
         shapes: Mapping[str, Shape] | None = None,
         about: Mapping[str, Mapping[str, Any]] | None = None,
+        scales: Scales | None = None,
     ) -> None:
         self._arrays, self._shapes, self._about = arrays, shapes or {}, about or {}
+        self._scales = scales
 
     def __getitem__(self, name: str) -> Any:
         value = self._arrays[name]
-        return Held(value) if isinstance(value, Mapping) else value
+        return Held(value, scales=self._scales) if isinstance(value, Mapping) else value
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
@@ -52,10 +62,17 @@ class Held(Mapping[str, Any]):
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self]
 
+    def units(self, name: str) -> str:
+        """Units of an array, '' where none are known."""
+        if "units" in self._about.get(name, {}):
+            return str(self._about[name]["units"])
+        units = units_in_groups(name)
+        scale = self._scales.scale(units) if self._scales else None
+        return self._scales.shown(scale)[1] if self._scales and scale is not None else units
+
     def told(self, name: str) -> str:
         """An array's name with its units."""
-        known = _KNOWN.get(name)
-        units = str(self._about.get(name, {}).get("units", known.units if known else ""))
+        units = self.units(name)
         return f"{name} [{units}]" if units else name
 
     def lines(self, prefix: str = "") -> Iterator[str]:
@@ -79,7 +96,10 @@ def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
         units = f" [{about['units']}]" if about.get("units") else ""
         size = "x".join(map(str, shape))
         found["Holds"].append((f"{name} {size}".strip(), f"{about.get('description', '')}{units}"))
-    for heading, groups in (("Events", result.events), ("Fields", Held(result.sets))):
+    for heading, groups in (
+        ("Events", result.events),
+        ("Fields", Held(result.sets, scales=result.converted_by)),
+    ):
         for name, held in groups.items():
             if isinstance(held, Held):
                 sizes = [np.shape(held[n]) for n in ("points", "time") if n in held]
@@ -90,7 +110,8 @@ def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
     if "table" in result.shapes:
         for name in result.arrays["table"].dtype.names or ():
             known = column(name)
-            units = f" [{known.units}]" if known.units else ""
+            units = result.attributes["table"].get(f"{name}: units", known.units)
+            units = f" [{units}]" if units else ""
             found["Table"].append((name, f"{known.description}{units}".strip()))
     return found
 

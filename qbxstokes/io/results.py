@@ -22,12 +22,15 @@ from qbxstokes.errors import ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, open_file, read_tree
 from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
+from qbxstokes.io.physical import Converted
 from qbxstokes.motion.means import Mean, mean_of
 
 if TYPE_CHECKING:
     import h5py
     import pandas
     import xarray
+
+    from qbxstokes.units import Scales
 
 _ATTRIBUTES = ("units", "description", "frame", "components", "coordinates")
 
@@ -56,6 +59,23 @@ class Result:
         self.groups = groups
         self.arrays = arrays
         self.attributes = attributes
+        # Of a result in physical units: the one that it is made of, and its scales.
+        self.original: Result | None = None
+        self.converted_by: Scales | None = None
+
+    @property
+    def scales(self) -> dict[str, Any]:
+        """Physical scales of a case that gives `units`, as texts, with St, Re and G; else empty."""
+        return dict(self.provenance.get("scales", {}))
+
+    def in_units(self) -> Result:
+        """The same with its arrays in physical units, by the section `units` of its case.
+
+        Summary and pictures stay as they are. Raises ResultFileError where the case gives none.
+        """
+        from qbxstokes.io.physical import physical
+
+        return physical(self)
 
     @property
     def names(self) -> list[str]:
@@ -70,12 +90,13 @@ class Result:
     @property
     def events(self) -> Held:
         """What happened between the samples: `events.half_turns.time` and the like."""
-        return Held(self.groups.get("events", {}))
+        return Held(self.groups.get("events", {}), scales=self.converted_by)
 
     @property
     def fields(self) -> Held:
         """The datasets by name; of a field also its sets: `fields.plane.velocity`."""
-        return Held(ChainMap(self.arrays, self.sets), self.shapes, self.attributes)  # type: ignore[arg-type]
+        held: Any = ChainMap(self.arrays, self.sets)  # type: ignore[arg-type]
+        return Held(held, self.shapes, self.attributes, self.converted_by)
 
     @property
     def sets(self) -> dict[str, Mapping[str, Any]]:
@@ -109,7 +130,7 @@ class Result:
         """
         from qbxstokes.plots.choice import plot
 
-        return plot(self, kind, ax, roles)
+        return plot(self.original or self, kind, ax, roles)
 
     @property
     def kinds(self) -> list[str]:
@@ -194,7 +215,7 @@ class SweepResult(Result):
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the datasets by name; nothing is read for them."""
-        assert isinstance(self.arrays, LazyArrays)
+        assert isinstance(self.arrays, LazyArrays | Converted)
         return self.arrays.shapes
 
     def mean(self, name: str, discard: float = 0.0) -> Mean:
@@ -233,27 +254,33 @@ class SweepResult(Result):
         summary = {name: texts(row[name])[0].item() for name in row.dtype.names}
         swept = {name: summary.pop(name) for name in self.coordinates}
         header = {"task": "motion", "format_version": self.format_version}
-        attributes = {name: self.attributes[name] for name in arrays}
         groups = {"provenance": {**self.provenance, "swept": swept}, "summary": summary}
-        return Result(self.path, header, arrays, attributes, groups)
+        attributes = {name: (self.original or self).attributes[name] for name in arrays}
+        found = Result(self.path, header, arrays, attributes, groups)
+        return found.in_units() if self.original else found
 
     def _samples(self) -> dict[str, tuple[int, ...]]:
         known = {"table", "trajectory", "sample", *self.coordinates}
         return {name: shape for name, shape in self.shapes.items() if name not in known}
 
 
-def load(path: str | Path) -> Result:
+def load(path: str | Path, units: bool = False) -> Result:
     """Read a result file; raises ResultFileError if it is missing, damaged or not ours.
 
     Of a case file its newest result in the working folder, which `path` of the result names.
+    units: with the arrays in physical units, of a case with a section `units` (`Result.in_units`).
 
     >>> result = load("jeffery_prolate.h5")  # doctest: +SKIP
     >>> result.time.shape, result.axis.shape  # doctest: +SKIP
     ((301,), (301, 3))
     """
+    result = _read(newest(path))
+    return result.in_units() if units else result
+
+
+def _read(path: Path) -> Result:
     import h5py
 
-    path = newest(path)
     try:
         if path.is_dir():
             raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")

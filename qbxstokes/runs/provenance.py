@@ -51,6 +51,7 @@ def _provenance(
         "case": loaded.document.text,
         "overrides": json.dumps(list(loaded.document.overrides.values())),
         "resolved_case": json.dumps(loaded.resolved()),
+        **_scales(loaded),
         "version": __version__,
         "git_revision": revision(),
         "python": platform.python_version(),
@@ -63,6 +64,14 @@ def _provenance(
         "host": platform.node(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def _scales(loaded: LoadedCase) -> dict[str, Any]:
+    """The physical scales of a case that gives units, and the numbers that follow from them."""
+    if loaded.case.units is None:
+        return {}
+    scales = loaded.case.units.scales
+    return {"units": scales.given, "scales": scales.table() | scales.numbers}
 
 
 def machine() -> str:

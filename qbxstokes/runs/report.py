@@ -128,6 +128,7 @@ def describe_result(result: Result) -> str:
     sections: dict[str, Rows] = {
         **holds(result),
         "Sampling": _sampling(result),
+        "Scales": list(_leaves(result.scales)),
         "Summary": [
             (name, f"{text} {units}".rstrip())
             for name, text in _leaves(result.summary)

@@ -56,6 +56,7 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     yield "body", shape
     if case.flow is not None:
         yield "flow", flow_text(loaded)
+    yield from _units(case)
     if isinstance(plan, MotionPlan):
         yield from _driven(case)
         yield "time", _span(plan)
@@ -101,6 +102,17 @@ def flow_text(loaded: LoadedCase) -> str:
 def _stated(default: Any) -> bool:
     """Whether a key has a default that says something."""
     return default is not None and default is not inspect.Parameter.empty
+
+
+def _units(case: Case) -> Rows:
+    """The physical scales, and the numbers that follow from them."""
+    if case.units is not None:
+        scales = case.units.scales
+        names = {"length": "c", "time": "tau", "viscosity": "mu"}
+        parts = [f"{names[n]} = {text}" for n, text in scales.table().items() if n in names]
+        short = {"stokes_number": "St", "reynolds_number": "Re", "gravity_number": "G"}
+        parts += [f"{short[name]} = {quantity(v)}" for name, v in scales.numbers.items()]
+        yield "units", ", ".join(parts)
 
 
 def _driven(case: Case) -> Rows:
@@ -210,6 +222,11 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     near = found.get("nearest", {}).get("domain_exit")
     if near is not None:
         yield near_edge(near["gap"], near["time"])
+    if loaded.case.units and (number := loaded.case.units.scales.reynolds_number or 0.0) > 0.1:
+        yield (
+            f"Reynolds number {quantity(number)} at the scale of the body: the inertia of the "
+            "fluid is not in the equations"
+        )
     for name in summary["unused_petsc_options"]:
         yield f"PETSc option -{name} was not used by anything"
     if missed(loaded, summary):
