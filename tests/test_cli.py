@@ -109,7 +109,7 @@ def test_every_task_has_a_starter(task: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("task", sorted(FOREIGN))
 def test_starters_fit_a_terminal_and_hold_what_their_task_takes(task: str, tmp_path: Path) -> None:
-    text = starter(task)
+    text = starter(task, full=True)
     assert max(map(len, text.splitlines())) <= 80
     for key in FOREIGN[task]:
         assert len(key) > 1 or not re.search(rf"^(# )?{key[0]}:", text, re.MULTILINE)
@@ -132,7 +132,7 @@ def test_starters_fit_a_terminal_and_hold_what_their_task_takes(task: str, tmp_p
 )
 def test_keys_of_other_tasks_are_refused(change: str, wrong: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
-    path.write_text(starter("field"))
+    path.write_text(starter("field", full=True))
     with pytest.raises(CaseError) as caught:
         load_case(path, [change])
     assert wrong in str(caught.value)

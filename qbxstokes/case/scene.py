@@ -21,12 +21,13 @@ from qbxstokes.case.values import (
     Problem,
     describe,
     increasing,
+    meant,
     to_number,
     with_numbers,
 )
 from qbxstokes.errors import SceneError
 from qbxstokes.expressions import FUNCTIONS, expression_in_time
-from qbxstokes.geometry.registry import build_shape
+from qbxstokes.geometry.registry import SHAPES, build_shape
 
 FREE, LOCKED, WITH_FLOW = "free", "locked", "with_flow"
 
@@ -38,6 +39,12 @@ class ShapeSection(Section, is_open=True):
 
     @classmethod
     def _prepare(cls, data: Any) -> Any:
+        if isinstance(data, str):
+            right = f"write shape: {{type: {data}}} and its numbers; types: {', '.join(SHAPES)}"
+            raise Problem(f"is {describe(data)}", right)
+        if isinstance(data, dict) and (name := data.get("type", "spheroid")) not in SHAPES:
+            known = meant(str(name), SHAPES, f"known here: {', '.join(SHAPES)}")
+            raise Problem(f"is {describe(name)}", known, ("type",))
         if not isinstance(data, dict):
             return data
         return {n: v if n == "type" else to_number(v) for n, v in data.items()}
@@ -46,7 +53,12 @@ class ShapeSection(Section, is_open=True):
 _RATIO = number(gt=0, le=1e6, ge=1e-6)
 
 
-class Body(Section):
+class Body(
+    Section,
+    k=("is called aspect_ratio", "write aspect_ratio: 0.5"),
+    St=("is called stokes_number", "write stokes_number: 10"),
+    density=("is no key of a body", "stokes_number says how heavy it is (`help units`)"),
+):
     """The body: its shape, given in one of three ways, and how heavy it is."""
 
     aspect_ratio: Annotated[float, _RATIO] | None = key(
@@ -167,7 +179,17 @@ def _velocity(value: Any) -> Any:
 VELOCITY = Reader(_velocity, {"anyOf": [{"enum": [WITH_FLOW]}, _MOVING.json]})
 
 
-class Start(Section):
+def _form(name: str, value: str) -> tuple[str, str]:
+    return "is a form of orientation", f"write orientation: {{{name}: {value}}}"
+
+
+class Start(
+    Section,
+    axis=_form("axis", "[1, 0, 0]"),
+    euler=_form("euler", "{theta: 90 deg}"),
+    quaternion=_form("quaternion", "[1, 0, 0, 0]"),
+    orbit=_form("orbit", "{constant: 1}"),
+):
     """Position, orientation and velocities at time 0."""
 
     position: Vector = key("centre of the body, in lengths c", (0.0, 0.0, 0.0), [0.0, 0.0, 0.0])

@@ -68,6 +68,18 @@ FOREIGN = {
     task: {tuple(name.split(".")): right for right, names in keys.items() for name in names.split()}
     for task, keys in _FOREIGN.items()
 }
+# Keys that belong to a section.
+_WITHIN = {
+    name: (f"belongs to {section}", f"write {section}: {{{name}: ...}}")
+    for section, names in {
+        "start": "position orientation velocity angular_velocity axis",
+        "body": "aspect_ratio length_over_diameter shape stokes_number",
+        "forces": "force torque gravity",
+        "time": "end periods samples tolerance",
+        "units": "viscosity length rate body_density fluid_density",
+    }.items()
+    for name in names.split()
+}
 # Tasks and sections that have left the program.
 _MOVED = {
     "benchmark": ("has moved", "run the scripts in cases/benchmarks"),
@@ -100,7 +112,7 @@ _VALUES = {"type": ["string", "number", "boolean", "null"]}
 PETSC_OPTIONS = Reader(_petsc_options, {"type": "object", "additionalProperties": _VALUES})
 
 
-class Case(Section, **_MOVED):
+class Case(Section, **_MOVED, **_WITHIN):
     """One case: what to compute, for which body in which flow, and how."""
 
     task: Literal["motion", "field", "body", "rheology"] = key("what to compute", "motion")

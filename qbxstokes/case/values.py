@@ -106,7 +106,10 @@ def expression(text: str) -> float:
 def to_number(value: Any) -> float:
     """A finite real number, given as a number or as simple arithmetic in a string."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise Problem(f"is {describe(value)}", "a number is expected, such as 0.5 or 1e-6")
+        right = "a number is expected, such as 0.5 or 1e-6"
+        if isinstance(value, dict | list):
+            right = "one number is expected, such as 0.5; several values are an axis of `sweep`"
+        raise Problem(f"is {describe(value)}", right)
     try:
         number = expression(value) if isinstance(value, str) else float(value)
     except (ValueError, OverflowError):

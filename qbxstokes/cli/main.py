@@ -27,7 +27,7 @@ Motion of a rigid spheroid in Stokes flow by quadrature by expansion.
 
 commands
   check CASE ...      validate case files and stop
-  new [FILE]          write a commented starter case (--task motion)
+  new [FILE]          write a short case (--task motion); every key: --full
   info FILE           what a result (or the newest of a case) holds, how made
   plot FILE ...       pictures of results and tables (plot --help)
   animate FILE        the tumbling body as GIF or MP4 (animate --help)
@@ -115,7 +115,7 @@ def _parse(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--task", default="motion")
     parser.add_argument("-o", "--output", metavar="FILE")
     parser.add_argument("--progress", default="auto", choices=("auto", "bar", "line", "none"))
-    flags = "explain dry-run overwrite resume no-cache quiet json version help write"
+    flags = "explain dry-run overwrite resume no-cache quiet json version help write full"
     for flag in flags.split():
         parser.add_argument(f"--{flag}", action="store_true")
     return parser.parse_intermixed_args(list(own))
@@ -154,8 +154,8 @@ def run_command(arguments: Sequence[str]) -> int:
             status = command(options, options.words[1:])
             sys.stdout.flush()
             return status
-        if len(options.words) > 1:
-            first, commands = options.words[0], (*_COMMANDS, *_OF_RESULTS)
+        first, commands = options.words[0], (*_COMMANDS, *_OF_RESULTS)
+        if len(options.words) > 1 or not (Path(first).suffix or Path(first).exists()):
             if Path(first).suffix in (".yaml", ".yml"):
                 raise CaseError(f"command line: {options.words[1]}: one case at a time")
             import difflib
@@ -229,7 +229,7 @@ def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Write a starter case to a file that does not exist yet, or to standard output."""
     from qbxstokes.cli.starter import starter
 
-    text = starter(options.task)
+    text = starter(options.task, options.full)
     if path := _put(text, options, words):
         print(f"{path}: written; run it with python -m qbxstokes {path}")
     return 0

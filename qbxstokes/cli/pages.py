@@ -28,7 +28,11 @@ def contents() -> str:
     found = topics()
     width = max(map(len, found))
     lines = [f"  {name:{width}}  {heading}" for name, heading in found.items()]
-    return "\n".join(["usage: python -m qbxstokes help TOPIC", "", *lines]) + "\n"
+    head = [
+        "usage: python -m qbxstokes help TOPIC, one of these; begin with running",
+        "       python -m qbxstokes --help, the commands and options",
+    ]
+    return "\n".join([*head, "", *lines]) + "\n"
 
 
 def page(topic: str) -> str:
@@ -40,7 +44,7 @@ def page(topic: str) -> str:
     if topic not in found:
         import difflib
 
-        close = difflib.get_close_matches(topic.lower().removesuffix(".md"), found, 1, 0.4)
+        close = difflib.get_close_matches(topic.lower().removesuffix(".md"), found, 1)
         right = f"did you mean {close[0]}?" if close else "python -m qbxstokes help lists them"
         raise CaseError(f"command line: help {topic}: no such topic; {right}")
     text = (PAGES / f"{topic}.md").read_text(encoding="utf-8")

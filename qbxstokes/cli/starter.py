@@ -1,4 +1,4 @@
-"""Starter cases: every key of a task with its meaning, the optional ones commented out."""
+"""Starter cases: some lines to begin with, or every key of a task with its meaning."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 import textwrap
 from collections.abc import Collection
+from textwrap import dedent
 from typing import Any
 
 from qbxstokes.case.describe import default_of, example_of, flows, meaning_of
@@ -21,35 +22,60 @@ _WORDS = re.compile(r"[A-Za-z][\w ./()*^+-]*")  # plain in YAML, and no number
 _STARTERS = {
     "motion": """
         title: A spheroid in linear shear
-        body: {aspect_ratio: 0.5, stokes_number: 0.0}
-        flow: {type: shear, rate: 1.0}
-        start: {orientation: {axis: [1.0, 1.0, 1.0]}}
-        time: {periods: 3, samples: 301}""",
+        body:
+          aspect_ratio: 0.5              # equatorial over polar radius: prolate < 1
+          stokes_number: 0.0             # St, its inertia; 0 is massless
+        flow:
+          type: shear                    # u = rate (x2, 0, 0); others: help flows
+          rate: 1.0
+        start:
+          orientation: {axis: [1.0, 1.0, 1.0]}
+        time:
+          periods: 3                     # Jeffery periods; or end: 50
+          samples: 301""",
     "field": """
         title: The flow around a spheroid in linear shear
-        body: {aspect_ratio: 0.5}
-        flow: {type: shear, rate: 1.0}
-        start: {orientation: {axis: [1.0, 1.0, 0.0]}}
-        field: {plane: {extent: [-3.0, 3.0, -2.0, 2.0], shape: [151, 101]}, pictures: true}""",
+        body:
+          aspect_ratio: 0.5              # equatorial over polar radius: prolate < 1
+        flow:
+          type: shear                    # u = rate (x2, 0, 0); others: help flows
+          rate: 1.0
+        start:
+          orientation: {axis: [1.0, 1.0, 0.0]}
+        field:
+          plane:
+            extent: [-3.0, 3.0, -2.0, 2.0]   # of x1 and x2 about the body
+            shape: [151, 101]
+          pictures: true""",
     "rheology": """
         title: A dilute suspension in shear
-        body: {aspect_ratio: 0.2}
-        flow: {type: shear, rate: 1.0}
-        rheology: {peclet_number: [0.1, 1.0, 10.0, 100.0]}""",
+        body:
+          aspect_ratio: 0.2              # equatorial over polar radius: prolate < 1
+        flow:
+          type: shear
+          rate: 1.0
+        rheology:
+          peclet_number: [0.1, 1.0, 10.0, 100.0]   # rate over rotary diffusivity""",
     "body": """
         title: The hydrodynamics of a body
-        body: {aspect_ratio: 0.5}""",
+        body:
+          aspect_ratio: 0.5              # equatorial over polar radius: prolate < 1""",
 }
 
 
-def starter(task: str = "motion") -> str:
-    """A case file that runs as it is, with every key of its task: the optional ones commented out.
+def starter(task: str = "motion", full: bool = False) -> str:
+    """A case file that runs as it is: some lines, or in full with every key of its task.
 
-    Lines are at most 80 columns wide. Raises CaseError for a task that has no starter.
+    The optional ones are then commented out. Lines are at most 80 columns wide. Raises CaseError
+    for a task that has no starter.
     """
     if task not in _STARTERS:
         raise CaseError(f"--task {printable(task)}: unknown; one of {', '.join(_STARTERS)}")
-    values = {"task": task, **parse(_STARTERS[task], "starter").data}
+    if not full:
+        head = f"# Run it: python -m qbxstokes FILE   (every key: new --full --task {task})"
+        kind = "" if task == "motion" else f"task: {task}\n"
+        return f"{head}\n{kind}{dedent(_STARTERS[task]).strip()}\n"
+    values = {"task": task, **parse(dedent(_STARTERS[task]), "starter").data}
     lines = [
         "## Every key that this task takes, with its meaning. Keys behind a # show their",
         "## default, or an example where there is none. Run it with:",

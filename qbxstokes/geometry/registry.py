@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
@@ -30,6 +32,9 @@ def build_shape(
     if sum(given) != 1:
         right = "exactly one of aspect_ratio, length_over_diameter and shape"
         raise SceneError("body", "names its shape not once", right)
+    for name, value in zip(SHAPE_KEYS, (aspect_ratio, length_over_diameter), strict=False):
+        if value is not None and not isinstance(value, int | float | np.integer | np.floating):
+            raise SceneError(name, f"is {value!r}", "one number; of several bodies one for each")
     if aspect_ratio is not None:
         return Spheroid(aspect_ratio)
     if length_over_diameter is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,6 +114,43 @@ def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
             units = f" [{units}]" if units else ""
             found["Table"].append((name, f"{known.description}{units}".strip()))
     return found
+
+
+_FEW = "fewer than {} half-turns of the axis; a longer time.end or a smaller sweep.discard"
+_SHEAR = "the flow at the start is no simple shear"
+# Why a column of a table is not known of a trajectory that was done.
+_WHY = {
+    "period": _FEW.format("one whole"),
+    "rotation_rate": _FEW.format("one whole"),
+    "period_change": _FEW.format("two whole"),
+    "velocity_change": _FEW.format("two whole"),
+    "orbit_drift": f"no whole half-turn, a tumbling axis, or {_SHEAR}",
+    "orbit_constant": _SHEAR,
+    "jeffery_period": "the flow at the start turns no axis",
+}
+
+
+def unknown(result: Result, columns: Sequence[str] = ()) -> list[str]:
+    """Of a sweep: which columns of its table are not known (NaN) of how many, and why.
+
+    columns: those that are looked at; () for all.
+    """
+    if "table" not in result.shapes:
+        return []
+    table = result.arrays["table"]
+    done = table[table["status"] == 1]
+    found: dict[tuple[str, int], list[str]] = {}
+    there = table.dtype.names or ()
+    for name in columns or there:
+        why = next((text for start, text in _WHY.items() if name == start), "") or next(
+            (text for start, text in _WHY.items() if name.startswith(f"{start}_")), ""
+        )
+        if why and name in there and (count := int(np.isnan(done[name]).sum())):
+            found.setdefault((why, count), []).append(name)
+    return [
+        f"{', '.join(names)}: not known of {count} of {len(done)} trajectories: {why}"
+        for (why, count), names in found.items()
+    ]
 
 
 def units_of(name: str) -> str:

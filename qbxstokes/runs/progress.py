@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 from qbxstokes.petsc.session import stage
@@ -97,6 +98,12 @@ class Progress:
         self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])
 
 
+@cache
+def _tell_of_compilation() -> None:
+    told = "qbxstokes: compiling kernels (once on a machine, some seconds) ..."
+    print(told, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def compilation_told(comm: Any, speak: bool) -> Iterator[None]:
     """Within it rank 0 says on standard error when a kernel has to be compiled, once.
@@ -110,16 +117,8 @@ def compilation_told(comm: Any, speak: bool) -> Iterator[None]:
     from numba.core import event
 
     class Teller(event.Listener):  # type: ignore[misc]
-        told = False
-
         def on_start(self, _: Any) -> None:
-            if not self.told:
-                self.told = True
-                print(
-                    "qbxstokes: compiling kernels (once on a machine, some seconds) ...",
-                    file=sys.stderr,
-                    flush=True,
-                )
+            _tell_of_compilation()
 
         def on_end(self, _: Any) -> None:
             """Nothing: what comes next tells of itself."""

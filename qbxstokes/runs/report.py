@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
-from qbxstokes.io.listing import holds, units_of
+from qbxstokes.io.listing import holds, units_of, unknown
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
@@ -128,6 +128,7 @@ def describe_result(result: Result) -> str:
     sections: dict[str, Rows] = {
         **holds(result),
         "Sampling": _sampling(result),
+        "Not known": listed(unknown(result)),
         "Scales": list(_leaves(result.scales)),
         "Summary": [
             (name, f"{text} {units}".rstrip())

@@ -15,8 +15,9 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep as store
+from qbxstokes.io.listing import unknown
 from qbxstokes.io.names import check_writable
-from qbxstokes.io.results import shows_parts
+from qbxstokes.io.results import load, shows_parts
 from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.interrupt import interrupted
@@ -56,6 +57,9 @@ def sweep_command(job: Job) -> int:
         for name in summary["unused_petsc_options"]:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
         tell_failures(summary)
+        for remark in unknown(load(summary["result"]), ("period", "rotation_rate")):
+            if not options.quiet:
+                print(f"qbxstokes: {remark}", file=sys.stderr)
     return ConvergenceError.exit_status if summary["failed"] else 0
 
 

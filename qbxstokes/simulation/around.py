@@ -26,6 +26,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import WHAT
 from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
+from qbxstokes.simulation.given import require_flow
 from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of, solver_factory
 from qbxstokes.simulation.simulation import places
 
@@ -62,6 +63,7 @@ class AroundBody:
     def __init__(
         self, shape: Revolution, flow: Flow, section: Hydrodynamics, tolerance: float
     ) -> None:
+        require_flow(flow)
         self.shape, self.flow, self.section = shape, flow, section
         self.tolerance = min(section.tolerance, tolerance)
         self.operators: Any = None

@@ -19,6 +19,7 @@ from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
+from qbxstokes.simulation import given
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -199,9 +200,7 @@ class Assembled:
 
     def motion(self, times: ArrayLike) -> Motion:
         """The motion sampled at times (T,)."""
-        instants = np.asarray(times, dtype=np.float64)
-        if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
-            raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
+        instants = given.instants(times)
         if len(self.initial) > 1:
             run = LaneRun.of(self, instants)
             trajectory = run.go()

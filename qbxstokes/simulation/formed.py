@@ -23,6 +23,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.registry import build_shape
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.equations import Inertia
+from qbxstokes.simulation.given import numbers
 from qbxstokes.simulation.hydrodynamics import (
     Former,
     Hydrodynamic,
@@ -60,8 +61,8 @@ class FormedBody:
         if not 0.0 < size < math.inf:
             raise SceneError("size", f"is {size:g}", "positive and finite")
         self.size = float(size)
-        self.stokes_number: Array = np.asarray(stokes_number, dtype=np.float64)
-        if not np.all(self.stokes_number >= 0.0) or not np.isfinite(self.stokes_number).all():
+        self.stokes_number: Array = numbers("stokes_number", stokes_number, "0 (massless) or more")
+        if not np.all(self.stokes_number >= 0.0):
             worst = float(self.stokes_number.ravel()[~(self.stokes_number.ravel() >= 0.0)][0])
             raise SceneError("stokes_number", f"is {worst:g}", "0 (massless) or more")
         if inertia not in ("both", "translation", "rotation"):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.simulation.given import require_flow
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.stresses import form_stresslet
@@ -82,6 +83,7 @@ def particle_of(body: Body, workshop: Workshop | None = None) -> tuple[Particle,
 
 def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
     """The homogeneous flow that a flow is; SceneError where it is none or strains nothing."""
+    require_flow(flow)
     if flow.degree is None or flow.degree > 1:
         raise SceneError("flow", "is not homogeneous", "a flow of degree 1, such as shear")
     if not flow.steady:

@@ -23,6 +23,7 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.assembly import Assembled, assemble
+from qbxstokes.simulation.given import numbers, require, require_flow
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
 
@@ -79,8 +80,9 @@ class Simulation:
     ) -> None:
         assert not isinstance(bodies, Sequence)  # `__new__` has made it another class
         bodies.check_size()
-        if not isinstance(flow, Flow):
-            raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
+        require_flow(flow)
+        require("loads", loads, Loads, "qs.Loads(force=[0, 0, -1])")
+        require("constraints", constraints, Constraints, "qs.Constraints(velocity=[0, 0, 0])")
         self.body, self.flow = bodies, flow
         x, q, lead = places(position, orientation)
         self.lanes = np.broadcast_shapes(lead, self.body.stokes_number.shape)
@@ -248,7 +250,10 @@ class Simulation:
 
 def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
     """Positions (n, 3), unit quaternions (n, 4), and the shape of the leading axes of both."""
-    x, turn = np.asarray(position, dtype=np.float64), np.asarray(orientation, dtype=np.float64)
+    x = numbers("position", position, "three numbers [x1, x2, x3], or places (..., 3)")
+    turn = numbers("orientation", orientation, "an axis [d1, d2, d3] or a quaternion")
+    if turn.ndim and not np.all(np.any(turn, axis=-1)):
+        raise SceneError("orientation", "has a zero vector", "an axis or quaternion of any length")
     if x.shape[-1:] != (3,) or turn.shape[-1:] not in ((3,), (4,)):
         raise SceneError(
             "position",

@@ -21,6 +21,7 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
 from qbxstokes.quantities import MOTION, of_event
+from qbxstokes.simulation import given
 from qbxstokes.simulation.result import Motion, integration_facts
 from qbxstokes.simulation.watch import split_columns
 
@@ -174,9 +175,7 @@ class Together:
 
     def motion(self, times: ArrayLike) -> CoupledMotion:
         """The motion sampled at times (T,)."""
-        instants = np.asarray(times, dtype=np.float64)
-        if instants.ndim != 1 or not len(instants) or np.any(np.diff(instants) <= 0.0):
-            raise SceneError("times", f"have shape {instants.shape}", "increasing instants (T,)")
+        instants = given.instants(times)
         watch = self.watch()
         watch.begin(0.0, self.initial)
         trajectory = self.trajectory(instants, observe=watch)

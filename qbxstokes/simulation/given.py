@@ -1,0 +1,44 @@
+"""What callers give, checked: each fault is one line that says what to write."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.errors import SceneError
+from qbxstokes.flows import Flow
+
+Array = NDArray[np.float64]
+
+
+def numbers(name: str, values: ArrayLike, right: str) -> Array:
+    """Values as floats; raises SceneError where they are none, or not finite."""
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(name, f"is {values!r}", right) from None
+    if not np.isfinite(found).all():
+        raise SceneError(name, "is not finite", right)
+    return found
+
+
+def instants(values: ArrayLike) -> Array:
+    """Increasing finite times (T,); raises SceneError for others."""
+    found = numbers("times", values, "increasing instants (T,)")
+    if found.ndim != 1 or not len(found) or np.any(np.diff(found) <= 0.0):
+        raise SceneError("times", f"have shape {found.shape}", "increasing instants (T,)")
+    return found
+
+
+def require_flow(flow: Any) -> None:
+    """Raise SceneError for what is no flow."""
+    if not isinstance(flow, Flow):
+        raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
+
+
+def require(name: str, value: Any, kind: type, right: str) -> None:
+    """Raise SceneError for what is neither None nor of a kind."""
+    if value is not None and not isinstance(value, kind):
+        raise SceneError(name, f"is {value!r}", right)

@@ -1,0 +1,121 @@
+"""What is told of a mistake that people make: what is meant, and what to write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Run
+
+import qbxstokes as qs
+from qbxstokes.case.load import case_of
+from qbxstokes.errors import CaseError, SceneError
+from qbxstokes.runs.progress import _tell_of_compilation
+
+CASE = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            {"start": {"axis": [1, 0, 0]}},
+            "start.axis: is a form of orientation; write orientation: {axis: [1, 0, 0]}",
+        ),
+        (
+            {"body": {"aspect_ratio": {"min": 0.1, "max": 2}}},
+            "body.aspect_ratio: is a mapping of keys; one number is expected, such as 0.5; several "
+            "values are an axis of `sweep`",
+        ),
+        (
+            {"body": {"k": 0.5, "aspect_ratio": 0.5}},
+            "body.k: is called aspect_ratio; write aspect_ratio: 0.5",
+        ),
+        (
+            {"body": {"shape": "ellipsoid"}},
+            "body.shape: is 'ellipsoid'; write shape: {type: ellipsoid} and its numbers; types: ",
+        ),
+        (
+            {"body": {"shape": {"type": "sphreoid", "aspect_ratio": 1}}},
+            "body.shape.type: is 'sphreoid'; did you mean spheroid?",
+        ),
+        (
+            {"orientation": [1, 0, 0]},
+            "orientation: belongs to start; write start: {orientation: ...}",
+        ),
+        ({"viscosity": 1}, "viscosity: belongs to units; write units: {viscosity: ...}"),
+    ],
+)
+def test_keys_in_the_wrong_place_are_told_theirs(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(CaseError) as raised:
+        case_of({**CASE, **change})
+    assert told in str(raised.value)
+
+
+BODY = qs.Body(0.5)
+SHEAR = qs.flow("shear")
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: BODY.free_motion("shear"), "flow is 'shear'; a flow such as qs.flow('shear')"),
+        (lambda: BODY.field("shear", [[2, 0, 0]]), "flow is 'shear'; a flow such as"),
+        (lambda: qs.rheology(BODY, "shear", [1.0]), "flow is 'shear'; a flow such as"),
+        (lambda: qs.Body(0.5, stokes_number=-1), "stokes_number is -1; 0 (massless) or more"),
+        (lambda: qs.Body(0.5, stokes_number="x"), "stokes_number is 'x'; 0 (massless) or more"),
+        (lambda: qs.Body([0.1, 0.2]), "aspect_ratio is [0.1, 0.2]; one number"),
+        (lambda: BODY.free_motion(SHEAR, orientation="x"), "orientation is 'x'; an axis"),
+        (lambda: BODY.free_motion(SHEAR, orientation=[0, 0, 0]), "orientation has a zero vector"),
+        (lambda: BODY.integrate(SHEAR, [0, np.nan]), "times is not finite; increasing instants"),
+        (lambda: BODY.integrate(SHEAR, [0, 1], loads={"force": [0, 0, 1]}), "; qs.Loads(force="),
+    ],
+)
+def test_arguments_are_told_in_a_line(call: Callable[[], Any], told: str) -> None:
+    with pytest.raises(SceneError) as raised:
+        call()
+    assert told in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_commands_are_told(run_cli: Run) -> None:
+    done = run_cli("plo")
+    assert (done.returncode, "did you mean plot?" in done.stderr) == (2, True)
+    assert "begin with running" in run_cli("help").stdout
+    assert "lists them" in run_cli("help", "nonsense").stderr
+
+
+def test_new_is_short_and_in_full(run_cli: Run, tmp_path: Path) -> None:
+    for task in ("motion", "field", "body", "rheology"):
+        short = run_cli("new", "--task", task).stdout
+        assert len(short.splitlines()) < 20
+        assert max(map(len, short.splitlines())) <= 80
+        run_cli("new", "--task", task, "-o", f"{task}.yaml")
+        assert run_cli("check", f"{task}.yaml").returncode == 0
+    assert len(run_cli("new", "--full").stdout.splitlines()) > 100
+
+
+def test_what_a_sweep_does_not_know_is_told(
+    write_case: Callable[..., Path], run_cli: Run, tmp_path: Path
+) -> None:
+    """Half-turns that a short motion does not have."""
+    axes = {"axes": [{"body.aspect_ratio": [0.5, 2]}]}
+    path = write_case({**CASE, "time": {"end": 1.0, "samples": 11}, "sweep": axes})
+    done = run_cli(path.name)
+    told = "period, rotation_rate: not known of 2 of 2 trajectories: fewer than one whole half-turn"
+    assert done.returncode == 0
+    assert f"qbxstokes: {told}" in done.stderr
+    shown = run_cli("info", "case.h5").stdout
+    assert "Not known" in shown
+    assert told in " ".join(shown.split())
+    assert run_cli(path.name, "--quiet", "--overwrite").stderr == ""
+
+
+def test_compilation_is_told_once(capfd: pytest.CaptureFixture[str]) -> None:
+    _tell_of_compilation.cache_clear()
+    _tell_of_compilation()
+    _tell_of_compilation()
+    assert capfd.readouterr().err.count("compiling") == 1
