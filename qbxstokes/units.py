@@ -142,6 +142,21 @@ class Scales:
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     @property
+    def told(self) -> str:
+        """The scales and the numbers that follow from them, in one line."""
+        names = {"length": "c", "time": "tau", "viscosity": "mu"}
+        parts = [f"{names[n]} = {text}" for n, text in self.table().items() if n in names]
+        short = {"stokes_number": "St", "reynolds_number": "Re", "gravity_number": "G"}
+        return ", ".join(parts + [f"{short[n]} = {v:.6g}" for n, v in self.numbers.items()])
+
+    @property
+    def remarks(self) -> list[str]:
+        """What these scales make doubtful."""
+        number = self.reynolds_number or 0.0
+        wrong = f"Reynolds number {number:.6g} at the scale of the body"
+        return [f"{wrong}: the inertia of the fluid is not in the equations"] * (number > 0.1)
+
+    @property
     def stokes_number(self) -> float | None:
         """St = rho_b c^2/(mu tau); None without viscosity or density of the body."""
         return self._ratio("body_density")

@@ -19,10 +19,11 @@ from qbxstokes.runs.report import (
     listed,
     quantity,
     render,
+    shape_text,
     spent_text,
     vector,
 )
-from qbxstokes.runs.summary import files, flow_text, shape_text
+from qbxstokes.runs.summary import files, flow_text
 
 _MANY = 6  # bodies that are told one by one
 

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
+from qbxstokes.geometry.shape import Shape
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.listing import holds, units_of, unknown
 
 if TYPE_CHECKING:
@@ -52,6 +54,16 @@ def render(title: str, name: str, sections: Mapping[str, Rows]) -> str:
 def quantity(value: float) -> str:
     """A number as people read it."""
     return f"{value:.6g}"
+
+
+def shape_text(shape: Shape) -> str:
+    """The body's shape and its numbers."""
+    if not isinstance(shape, Spheroid):
+        return str(shape)
+    k = shape.aspect_ratio
+    if k == 1:
+        return "sphere, k = 1"
+    return f"{'prolate' if k < 1 else 'oblate'} spheroid, k = {quantity(k)}"
 
 
 def vector(values: Iterable[float], scale: float = 0.0) -> str:

@@ -13,8 +13,6 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
-from qbxstokes.geometry.shape import Shape
-from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
@@ -27,6 +25,7 @@ from qbxstokes.runs.report import (
     quantity,
     render,
     section,
+    shape_text,
     size,
     spent_text,
     vector,
@@ -56,7 +55,8 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     yield "body", shape
     if case.flow is not None:
         yield "flow", flow_text(loaded)
-    yield from _units(case)
+    if case.units is not None:
+        yield "units", case.units.scales.told
     if isinstance(plan, MotionPlan):
         yield from _driven(case)
         yield "time", _span(plan)
@@ -76,16 +76,6 @@ def _span(plan: MotionPlan) -> str:
     return f"{text}, {len(plan.times)} samples"
 
 
-def shape_text(shape: Shape) -> str:
-    """The body's shape and its numbers."""
-    if not isinstance(shape, Spheroid):
-        return str(shape)
-    k = shape.aspect_ratio
-    if k == 1:
-        return "sphere, k = 1"
-    return f"{'prolate' if k < 1 else 'oblate'} spheroid, k = {quantity(k)}"
-
-
 def flow_text(loaded: LoadedCase) -> str:
     """The flow's name, its keys with their values, given or not, and its degree."""
     from qbxstokes.flows import REGISTRY
@@ -102,17 +92,6 @@ def flow_text(loaded: LoadedCase) -> str:
 def _stated(default: Any) -> bool:
     """Whether a key has a default that says something."""
     return default is not None and default is not inspect.Parameter.empty
-
-
-def _units(case: Case) -> Rows:
-    """The physical scales, and the numbers that follow from them."""
-    if case.units is not None:
-        scales = case.units.scales
-        names = {"length": "c", "time": "tau", "viscosity": "mu"}
-        parts = [f"{names[n]} = {text}" for n, text in scales.table().items() if n in names]
-        short = {"stokes_number": "St", "reynolds_number": "Re", "gravity_number": "G"}
-        parts += [f"{short[name]} = {quantity(v)}" for name, v in scales.numbers.items()]
-        yield "units", ", ".join(parts)
 
 
 def _driven(case: Case) -> Rows:
@@ -222,11 +201,8 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     near = found.get("nearest", {}).get("domain_exit")
     if near is not None:
         yield near_edge(near["gap"], near["time"])
-    if loaded.case.units and (number := loaded.case.units.scales.reynolds_number or 0.0) > 0.1:
-        yield (
-            f"Reynolds number {quantity(number)} at the scale of the body: the inertia of the "
-            "fluid is not in the equations"
-        )
+    if loaded.case.units is not None:
+        yield from loaded.case.units.scales.remarks
     for name in summary["unused_petsc_options"]:
         yield f"PETSc option -{name} was not used by anything"
     if missed(loaded, summary):
