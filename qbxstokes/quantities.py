@@ -358,6 +358,10 @@ def of_ensemble(name: str) -> Quantity:
         if part != name and part in _STATISTICS:
             told = f"{looked.description}: {_STATISTICS[part]}"
             return Quantity(name, looked.symbol, looked.units, told)
+    if (known := RHEOLOGY.get(name)) is not None:
+        stress = name.removesuffix("_standard_error").endswith("stress")
+        told = known.description.replace(", mu and rate", " and mu")
+        return replace(known, units="1/tau", description=told) if stress else known
     return ENSEMBLE.get(name) or PARAMETER.get(name) or Quantity(name, "", "", f"swept {name}")
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import qbxstokes as qs
 from qbxstokes.errors import QbxStokesError
+from qbxstokes.motion import random_turns
 from qbxstokes.simulation.rheology import linear_flow
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.langevin import isotropic_axes, turned, uniform, variance
@@ -63,6 +64,63 @@ def test_weak_order_two() -> None:
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(np.abs(orders - 2.0) < 0.05)
     assert errors[-1] < 2e-4
+
+
+def test_counted_numbers_are_those_published() -> None:
+    """Philox 4x32-10 of zeros (J. K. Salmon et al. 2011, Random123's kat_vectors)."""
+    found = [int(number) for number in random_turns.philox(0, 0, 0, 0)]
+    assert found == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]
+    places = np.arange(5, dtype=np.uint64)
+    rows = np.stack(random_turns.philox(7, places, 2, 1))
+    assert np.array_equal(rows[:, 3], np.stack(random_turns.philox(7, 3, 2, 1)))
+
+
+def test_ensembles_turn_and_stress_as_the_density_says() -> None:
+    """Brownian axes along paths that are all the same shear: within errors of `rheology`."""
+    times = np.linspace(0.0, 21.0, 211)
+    gradients = np.zeros((1024, len(times), 3, 3), dtype=np.float32)
+    gradients[..., 0, 1] = 1.0
+    series, bodies = qs.GradientSeries(times, gradients), [qs.Body(0.2), qs.Body(3.0)]
+    keys = {"stresses": True, "discard": 0.2, "sampling": False}
+    random = {"rotary_diffusivity": 0.1, "seed": 3}
+    found = qs.ensemble(bodies, series, statistics=keys, brownian=random)
+    half = qs.ensemble(
+        bodies,
+        series.part(slice(512), slice(None)),
+        statistics={**keys, "keep": 9},
+        brownian=random,
+    )
+    assert found.stresses is not None
+    assert half.stresses is not None
+    for place, body in enumerate(bodies):
+        exact = qs.rheology(body, SHEAR, 10.0)
+        for name, (mean, error) in found.stresses.items():
+            right = getattr(exact, name)
+            assert np.all(np.abs(mean[place] - right) < 4.0 * error[place] + 1e-12)
+            assert np.max(error[place]) < 0.03 * np.max(np.abs(right))
+            assert np.all(half.stresses[name][1][place] >= error[place])
+    still = qs.ensemble(
+        bodies[0], series.part(slice(9), slice(None)), statistics={**keys, "keep": 9}
+    )
+    assert still.axes is not None
+    assert half.axes is not None
+    assert np.abs(half.axes[:, :, :1] - still.axes).max() > 0.1
+    for bad in ({"rotary_diffusivity": 6.0}, {"translation": True}, {}):
+        with pytest.raises(QbxStokesError, match=r"^brownian"):
+            qs.ensemble(bodies, series, brownian={"rotary_diffusivity": 0.1} | bad if bad else bad)
+
+
+def test_isotropic_axes_stress_a_fluid_as_they_must() -> None:
+    """<S:E>/(2 <E:E> V) = (S0 + 2 S1 + 2 S2)/(10 V) where axes do not know the gradients."""
+    gradients = np.random.default_rng(1).standard_normal((4000, 4, 3, 3))
+    gradients -= np.trace(gradients, axis1=2, axis2=3)[..., None, None] * np.eye(3) / 3.0
+    series = qs.GradientSeries(1e-6 * np.arange(4.0), gradients)
+    found = qs.ensemble(qs.Body(0.1), series, statistics={"stresses": True, "sampling": False})
+    assert found.stresses is not None
+    mean, error = found.stresses["intrinsic_viscosity"]
+    exact = qs.rheology(qs.Body(0.1), SHEAR, 1.0).summary["viscosity_of_isotropic"]
+    assert abs(mean[0] - exact) < 3.0 * error[0]
+    assert error[0] < 0.02 * exact
 
 
 @pytest.mark.parametrize("peclet", [3.0, pytest.param(100.0, marks=pytest.mark.slow)])

@@ -71,6 +71,9 @@ def checked(document: Document, path: Path) -> LoadedCase:
     if document.data.get("statistics") is not None and not kept:
         wrong = "has no meaning without sweep.store: statistics"
         raise document.error("statistics", wrong, "store: statistics, with flow.trajectory: all")
+    if document.data.get("brownian") is not None and not kept:
+        wrong, right = "has no meaning without sweep.store: statistics", "task: rheology, langevin"
+        raise document.error("brownian", wrong, right)
     loaded = from_document(document, path)
     document, space = loaded.document, loaded.space or SweepSpace(())
     for number, columns in enumerate(space.axes):

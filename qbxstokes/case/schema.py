@@ -15,6 +15,7 @@ from qbxstokes.case.bodies import (
     coupled,
     prepared,
 )
+from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.field import FieldSection
 from qbxstokes.case.model import Key, Reader, Section, key
 from qbxstokes.case.rheology import RheologySection
@@ -34,7 +35,7 @@ _FOREIGN = {
         "leave it out, or use task: rheology": "rheology",
     },
     "field": {
-        "leave it out, or use task: motion": "constraints time events sweep statistics",
+        "leave it out, or use task: motion": "constraints time events sweep statistics brownian",
         "leave it out": "field.every field.at",
         "give field.force and field.torque": "forces",
         "give field.velocity, with field.body: moving": "start.velocity",
@@ -49,12 +50,14 @@ _FOREIGN = {
         "leave it out, or use task: motion": "forces constraints time events checkpoint sweep "
         "statistics",
         "leave it out, or use task: field": "field",
+        "give rheology.peclet_number and rheology.langevin": "brownian",
         "leave it out: orientations are told by rheology.orientations": "start.orientation",
         "leave it out: nothing moves": "start.velocity start.angular_velocity",
         "leave it out: it chooses among the samples of a motion": "output.fields",
     },
     "body": {
-        "leave it out, or use task: motion": "forces constraints time events checkpoint statistics",
+        "leave it out, or use task: motion": "forces constraints time events checkpoint "
+        "statistics brownian",
         "leave it out, or use task: field": "field",
         "leave it out, or use task: rheology": "rheology",
         "leave it out: nothing moves": "start.velocity start.angular_velocity body.stokes_number "
@@ -145,6 +148,7 @@ class Case(Section, **_MOVED, **_WITHIN):
         "PETSc options without the dash; the command line overrides them", {}, {"ts_monitor": None}
     )
     sweep: Sweep | None = key("vary keys of the case: many trajectories, one result", None)
+    brownian: Brownian | None = key("random turns of the axes of bodies in sweeps", None)
     statistics: Statistics = key(
         "what a sweep with store: statistics keeps of bodies along paths", Statistics()
     )

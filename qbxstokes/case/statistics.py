@@ -20,6 +20,9 @@ class Statistics(Section):
     quantities: Annotated[tuple[str, ...], some(choice(*RATES, *STRAINS))] = key(
         "what is looked at: " + ", ".join((*RATES, *STRAINS)), RATES
     )
+    stresses: bool = key(
+        "mean stress of the particles, its Brownian part, and the viscosity it makes", False
+    )
     every: Annotated[int, whole(ge=1)] = key("samples from one look to the next", 1)
     discard: Annotated[float, number(ge=0, lt=1)] = key(
         "part of the time left out, from the start", 0.0

@@ -42,6 +42,7 @@ class Wanted(NamedTuple):
     places (intervals,): the number of the look that is taken at the start of each interval of a
     tile, or -1. quantities: how many, 3 or 6. floor, scale: the first edge and the inverse width of
     the bins of log10 of the rates. lags (longest + 1,): place of each lag in the sums, or -1.
+    stresses (B, 4): S0, S1, S2 and 3 kT lambda over the volume, or (0, 4).
     """
 
     places: Integers
@@ -49,6 +50,7 @@ class Wanted(NamedTuple):
     floor: float
     scale: float
     lags: Integers
+    stresses: Array
 
 
 class Sums(NamedTuple):
@@ -57,7 +59,8 @@ class Sums(NamedTuple):
     moments (P, B, Q, 4): powers 1 to 4, of each path. rates (P, 2): E:E and vorticity squared.
     counts (B, Q, bins + 2): below, in and beyond the bins. instants (intervals, B, Q, 2): powers 1
     and 2, over paths. origins (P, B, 3): axes from which lags count. products (B, lags, 2): sums of
-    p(t).p(t + lag), and their number.
+    p(t).p(t + lag), and their number. stresses (P, B, 13): components 11 22 33 12 13 23 of S/V and
+    of pp, and the power of the stress.
     """
 
     moments: Array
@@ -66,6 +69,7 @@ class Sums(NamedTuple):
     instants: Array
     origins: Array
     products: Array
+    stresses: Array
 
 
 @inner
@@ -208,3 +212,27 @@ def correlate(p: Any, wanted: Any, look: int, start: int, lanes: int, body: int,
             value = origin[0] * p[0, b] + origin[1] * p[1, b] + origin[2] * p[2, b]
             sums.products[body, place, 0] += value
             sums.products[body, place, 1] += 1.0
+
+
+@inner
+def add_stresses(a: Any, p: Any, numbers: Any, start: int, lanes: int, sums: Any) -> None:
+    """Add S/V (`suspension.particle`), pp and (S/V + 3 kT lambda pp/V):E to sums (P, 13)."""
+    s0, s1, s2, brownian = numbers
+    for b in range(lanes):
+        x, y, z = p[0, b], p[1, b], p[2, b]
+        e = strain_of(a, b)
+        u = e[0] * x + e[3] * y + e[4] * z
+        v = e[3] * x + e[1] * y + e[5] * z
+        w = e[4] * x + e[5] * y + e[2] * z
+        form = u * x + v * y + w * z
+        products = (x * x, y * y, z * z, x * y, x * z, y * z)
+        mixed = (2.0 * u * x, 2.0 * v * y, 2.0 * w * z, u * y + v * x, u * z + w * x, v * z + w * y)
+        total, power = sums[start + b], brownian * form
+        for i in range(6):
+            s = (1.5 * s0 - 2.0 * s1 + 0.5 * s2) * form * products[i]
+            s += (s1 - s2) * mixed[i] + s2 * e[i]
+            s += 0.5 * (s2 - s0) * form if i < 3 else 0.0
+            total[i] += s
+            total[6 + i] += products[i]
+            power += s * e[i] * (1.0 if i < 3 else 2.0)
+        total[12] += power

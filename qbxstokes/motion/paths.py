@@ -22,8 +22,10 @@ from typing import Any
 import numba
 import numpy as np
 
+from qbxstokes.motion import random_turns
 from qbxstokes.motion.path_statistics import (
     LANES,
+    add_stresses,
     begin_tile,
     correlate,
     flow_rates,
@@ -34,6 +36,10 @@ from qbxstokes.motion.path_statistics import (
 
 compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
+
+philox = inner(random_turns.philox)
+variance = inner(random_turns.variance)
+turned = inner(random_turns.turned)
 
 # Most terms of a series, and how far a body may turn in one: |L| times its time.
 TERMS, REACH = 40, 1.0
@@ -212,6 +218,20 @@ def far_lane(m: Any, lane: int, tolerance: float, p: Any) -> None:
         p[i, lane] = q[i, 0]
 
 
+@inner
+def kick(p: Any, turns: Any, length: float, place: Any, lanes: int, later: bool) -> None:
+    """Turn the axes p (3, LANES) at random, as in half of an interval.
+
+    place: path of the first lane, interval, body.
+    """
+    spread = variance(turns.diffusivity, 0.5 * length)
+    for b in range(lanes):
+        n0, n1, n2, n3 = philox(turns.seed, place[0] + b, place[1], place[2])
+        if later:
+            n0, n1 = n2, n3
+        p[0, b], p[1, b], p[2, b] = turned(p[0, b], p[1, b], p[2, b], spread, n0, n1)
+
+
 @compiled
 def follow_axes(
     samples: Any,
@@ -222,6 +242,7 @@ def follow_axes(
     wanted: Any,
     sums: Any,
     kept: Any,
+    turns: Any,
 ) -> None:
     """Axes (P, B, 3) of B bodies along P paths, in place, and what is wanted of them on the way.
 
@@ -229,6 +250,7 @@ def follow_axes(
     intervals, as `flows.interpolation.power_weights` gives them; laws (B, 2): lambda and rest;
     tolerances (B,): errors per unit of time. wanted, sums: of `path_statistics`. kept (K,
     intervals, B, 3): axes at the start of each interval of the first K paths.
+    turns: at random, before and after the flow of each interval (`random_turns`).
     """
     first, weights, lengths = grid
     paths, bodies = axes.shape[0], axes.shape[1]
@@ -262,6 +284,12 @@ def follow_axes(
                     look_at(c[0], m[0], p[body], lengths[number], wanted.quantities, found)
                     note(found, wanted, number, lanes, body, tile, sums)
                     correlate(p[body], wanted, look, start, lanes, body, sums)
+                    if wanted.stresses.shape[0] > 0:
+                        numbers = wanted.stresses[body]
+                        add_stresses(c[0], p[body], numbers, start, lanes, sums.stresses[:, body])
+                place = (turns.path + start, turns.step + number, body)
+                if turns.diffusivity > 0.0:
+                    kick(p[body], turns, lengths[number], place, lanes, False)
                 tolerance = tolerances[body] * lengths[number]
                 far = terms_of(m, work, terms, tolerance)
                 turn(m, terms, series, p[body])
@@ -269,6 +297,8 @@ def follow_axes(
                     for b in range(lanes):
                         if terms[b] == 0:
                             far_lane(m, b, tolerance, p[body])
+                if turns.diffusivity > 0.0:
+                    kick(p[body], turns, lengths[number], place, lanes, True)
         move_sums(start, lanes, tile, rates, sums, True)
         for body in range(bodies):
             for b in range(lanes):

@@ -35,7 +35,8 @@ from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
 from qbxstokes.runs.target import finished_result, identity_of, result_path
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Found, Sums, added
+from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added
+from qbxstokes.simulation.ensemble_means import Found
 from qbxstokes.simulation.from_case import pointed, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
 
@@ -101,7 +102,9 @@ def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, NDArray[Any]]]:
         axis = rotation.axis(start_quaternion(case.start, bodies[0].shape))
     series = _series(loaded, paths)
     with pointed(loaded):
-        ensemble = Ensemble(bodies, series, axis, case.statistics, case.time.tolerance)
+        ensemble = Ensemble(
+            bodies, series, axis, case.statistics, case.time.tolerance, case.brownian
+        )
     return ensemble, swept
 
 
@@ -297,6 +300,10 @@ def _write(
         "trace": trace,
         "bodies": len(ensemble.bodies),
         "quantities": list(found.quantities),
+        "stresses": {
+            name: [mean.tolist(), error.tolist()]
+            for name, (mean, error) in (found.stresses or {}).items()
+        },
         "wall_time": time.perf_counter() - begin,
         "ranks": job.comm.size,
     }
@@ -324,6 +331,9 @@ def arrays_of(found: Found) -> Iterator[tuple[str, NDArray[Any]]]:
     yield "correlation", found.correlation.T
     if found.axes is not None:
         yield "axis", found.axes
+    for name, (mean, error) in (found.stresses or {}).items():
+        yield name, mean
+        yield f"{name}_standard_error", error
 
 
 # -- what is told ---------------------------------------------------------------------------------
@@ -383,6 +393,10 @@ def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
         text = f"{sampling['axis_median']:.2g} of the axis at the end (median), "
         text += f"{sampling['axis_90_percent']:.2g} for 9 of 10"
         solved.append(("left by samples", text))
+    if "intrinsic_viscosity" in summary["stresses"]:
+        pairs = zip(*summary["stresses"]["intrinsic_viscosity"], strict=True)
+        told = ", ".join(f"{mean:.4g} +- {error:.1g}" for mean, error in pairs)
+        solved.append(("viscosity", f"[eta] = {told}"))
     spent = f"{duration(summary['wall_time'])} on {counted(summary['ranks'], 'rank')}"
     times = [("ensemble", spent)]
     sections = {"Solved": solved, "Times": times, "Result": [("file", summary["result"])]}

@@ -15,7 +15,8 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.loads import LoadRows, Loads
-from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, event_settings
+from qbxstokes.simulation.given import section
+from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
 from qbxstokes.simulation.suspension import Suspension
 from qbxstokes.simulation.wall import Wall
 
@@ -69,7 +70,7 @@ class CoupledSimulation(Simulation):
         turn = np.asarray(orientation, dtype=np.float64)
         q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
         self.quaternion = np.array(np.broadcast_to(q, (len(members), 4)))
-        self.loads, self.events = loads, event_settings(events)
+        self.loads, self.events = loads, section("events", EventSettings, events)
         self.constraints = None
         if constraints is not None:
             raise SceneError("constraints", "are given", "None: bodies of one fluid are free")

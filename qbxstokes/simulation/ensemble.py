@@ -15,12 +15,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.statistics import RATES, STRAINS, Statistics
-from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.series import GradientSeries
+from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
+from qbxstokes.simulation.ensemble_means import (
+    Found,
+    mean_stresses,
+    standard_error,
+    stress_columns,
+)
+from qbxstokes.simulation.given import section
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.rheology import particle_of
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -48,6 +57,7 @@ class Ensemble:
     axes: Array | None = None
     settings: Statistics = field(default_factory=lambda: Statistics.read({}))
     tolerance: float = 1e-6
+    brownian: Brownian | None = None
     given_laws: Array | None = None  # see `laws`
 
     def __post_init__(self) -> None:
@@ -67,6 +77,19 @@ class Ensemble:
             raise SceneError("orientation", f"has shape {self.axes.shape}", right)
         if len(self.looks) < 1:
             raise SceneError("statistics", "leave no sample", "less discard")
+        if self.brownian is not None:
+            self._check_brownian(self.brownian)
+
+    def _check_brownian(self, given: Brownian) -> None:
+        for name in ("translation", "step"):
+            if name in given.given_keys:
+                right = "leave it out: axes turn from sample to sample of the series"
+                raise SceneError(f"brownian.{name}", "has no meaning along paths", right)
+        most = MOST_VARIANCE / (2.0 * float(np.diff(self.series.times).max()))
+        if given.rotary_diffusivity > most:
+            wrong = f"is {given.rotary_diffusivity:g}"
+            right = f"at most {most:.3g} for samples so far apart"
+            raise SceneError("brownian.rotary_diffusivity", wrong, right)
 
     @property
     def paths(self) -> int:
@@ -105,13 +128,29 @@ class Ensemble:
 
     def with_laws(self, workshop: Workshop) -> Ensemble:
         """The same with the laws of the bodies, formed now."""
-        models = [body.formed(1, None, workshop)[0].model for body in self.bodies]
-        laws = [[m.faxen.linear, m.faxen.rest, m.error_estimate] for m in models]
+        laws = []
+        for body in self.bodies:
+            m = body.formed(1, None, workshop)[0].model
+            own = [m.faxen.linear, m.faxen.rest, m.error_estimate]
+            if self.settings.stresses:
+                p, error = particle_of(body, workshop)
+                kt = self.diffusivity * p.resistance
+                own[2] = max(own[2], error)
+                own += [float(s) for s in (*p.stresslet, 3.0 * kt * p.linear) / np.array(p.volume)]
+            laws.append(own)
         return replace(self, given_laws=np.array(laws))
+
+    @property
+    def diffusivity(self) -> float:
+        """Of the axes, 0 without Brownian motion."""
+        return 0.0 if self.brownian is None else self.brownian.rotary_diffusivity
 
     @cached_property
     def laws(self) -> Array:
-        """lambda, 1/2 - |lambda|/2 and the estimated relative error of each body, (B, 3)."""
+        """lambda, 1/2 - |lambda|/2 and the estimated relative error of each body, (B, 3).
+
+        With stresses (B, 7): S0, S1, S2 and 3 kT lambda over the volume as well.
+        """
         given = self.given_laws
         return self.with_laws(Workshop()).laws if given is None else given
 
@@ -176,6 +215,10 @@ class Ensemble:
         moments, rates = np.zeros((n, b, q, MOMENTS)), np.zeros((n, 2))
         counts = np.zeros((b, q, bins + 2), dtype=np.int64)
         origins, products = np.zeros((n, b, 3)), np.zeros((b, len(self.lags), 2))
+        numbers = np.ascontiguousarray(self.laws[:, 3:]).reshape(-1, 4)
+        stresses = np.zeros((n, b, 13 if len(numbers) else 0))
+        diffusivity = self.diffusivity if series is self.series else 0.0
+        seed = 0 if self.brownian is None else self.brownian.seed
         for begin in range(0, len(lengths), TILE):
             part = slice(begin, min(begin + TILE, len(lengths)))
             low_sample = int(windows[part][0])
@@ -190,9 +233,10 @@ class Ensemble:
                 self.laws,
                 tolerances,
                 axes,
-                path_statistics.Wanted(here, q, self.floor, bins / (high - low), lags),
-                path_statistics.Sums(moments, rates, counts, seen, origins, products),
+                path_statistics.Wanted(here, q, self.floor, bins / (high - low), lags, numbers),
+                path_statistics.Sums(moments, rates, counts, seen, origins, products, stresses),
                 axes_seen,
+                Turns(diffusivity, seed, first, begin),
             )
             instants[here[here >= 0]] = seen[here >= 0]
             kept[:, here[here >= 0]] = axes_seen[:, here >= 0]
@@ -207,6 +251,10 @@ class Ensemble:
             "instants": instants,
             "products": products,
         }
+        if len(numbers):
+            columns = stress_columns(stresses / count, numbers[:, 3])
+            sums["stresses"] = np.stack([columns.sum(axis=0), (columns**2).sum(axis=0)])
+            sums["power_with_strain"] = np.einsum("pb,p->b", columns[..., -1], rates[:, 0])
         return (sums | {"axes": kept} if keep else sums), axes
 
     def sampling(self) -> dict[str, Any]:
@@ -243,9 +291,6 @@ class Ensemble:
         strain, vorticity, strain_square = (total["rates"] / paths).tolist()
         mixed = total["with_strain"][:, chosen] / paths
 
-        def error(variance: Array) -> Array:
-            return np.sqrt(np.maximum(variance, 0.0) / (paths - 1 if paths > 1 else np.nan))
-
         # Of the ratio to <E:E>: the variance of what a path differs from the ratio's line.
         ratio = first[..., 0] / strain if strain else np.full_like(mixed, np.nan)
         off = square[..., 0] - 2.0 * ratio * mixed + ratio**2 * strain_square
@@ -261,9 +306,11 @@ class Ensemble:
         return Found(
             quantities=tuple(self.settings.quantities),
             moments=first,
-            moments_error=error(square - first**2),
+            moments_error=standard_error(square - first**2, paths),
             over_strain=ratio,
-            over_strain_error=error(off) / strain if strain else np.full_like(mixed, np.nan),
+            over_strain_error=standard_error(off, paths) / strain
+            if strain
+            else np.full_like(mixed, np.nan),
             edges=np.array(edges),
             counts=total["counts"][:, chosen],
             time=self.series.times[self.looks],
@@ -274,6 +321,7 @@ class Ensemble:
             lag=lag_times,
             correlation=correlation,
             axes=total.get("axes"),
+            stresses=mean_stresses(total, paths, strain, strain_square),
             summary={
                 "paths": paths,
                 "looks": looks,
@@ -293,69 +341,22 @@ def added(total: Sums, more: Sums) -> Sums:
     return kept | {name: total[name] + more[name] for name in total.keys() & more.keys()}
 
 
-@dataclass(frozen=True)
-class Found:
-    """Statistics of B bodies, of Q quantities.
-
-    moments, moments_error (B, Q, 4): means of powers 1 to 4 over paths and time, and their standard
-    errors, paths being independent. over_strain, over_strain_error (B, Q): the means over <E:E>,
-    which is epsilon/(2 nu), and their errors. edges (Q, bins + 1), counts (B, Q, bins + 2): below,
-    in and beyond the bins. time (T,), mean_in_time, spread_in_time (B, Q, T): over paths. lag (L,),
-    correlation (B, L): <p(t).p(t + lag)>. axes (kept paths, T, B, 3). summary: numbers of paths and
-    looks, <E:E>, squared vorticity, the trace that was projected out, what the sampling leaves.
-    """
-
-    quantities: tuple[str, ...]
-    moments: Array
-    moments_error: Array
-    over_strain: Array
-    over_strain_error: Array
-    edges: Array
-    counts: NDArray[np.int64]
-    time: Array
-    mean_in_time: Array
-    spread_in_time: Array
-    lag: Array
-    correlation: Array
-    axes: Array | None
-    summary: dict[str, Any] = field(repr=False)
-
-    def mean(self, quantity: str) -> tuple[Array, Array]:
-        """Mean of a quantity, and its standard error, each (B,)."""
-        place = self.quantities.index(quantity)
-        return self.moments[:, place, 0], self.moments_error[:, place, 0]
-
-    def variance(self, quantity: str) -> Array:
-        """Variance of a quantity over paths and time, (B,)."""
-        first, second = self.moments[:, self.quantities.index(quantity), :2].T
-        return np.asarray(second - first**2)
-
-    def over_dissipation(self, quantity: str = "tumbling") -> tuple[Array, Array]:
-        """Mean of a squared rate times nu/epsilon = 1/(2 <E:E>), and its error, each (B,)."""
-        place = self.quantities.index(quantity)
-        return 0.5 * self.over_strain[:, place], 0.5 * self.over_strain_error[:, place]
-
-    def density(self, quantity: str) -> tuple[Array, Array]:
-        """Edges of bins (n + 1,) and probability densities in them (B, n)."""
-        place = self.quantities.index(quantity)
-        counts, edges = self.counts[:, place], self.edges[place]
-        share = counts[:, 1:-1] / counts.sum(axis=-1, keepdims=True)
-        return edges, share / np.diff(edges)
-
-
 def ensemble(
     bodies: Body | Sequence[Body],
     flow: GradientSeries,
     *,
     orientation: ArrayLike | str = "isotropic",
     statistics: Mapping[str, Any] | None = None,
+    brownian: Mapping[str, Any] | None = None,
     tolerance: float = 1e-6,
 ) -> Found:
     """Statistics of bodies along the paths of a series of velocity gradients.
 
     bodies: one, or several that are independent of each other. flow: gradients along paths (paths,
     T, 3, 3), in memory or in a file (`qs.GradientSeries`). orientation: "isotropic", at random for
-    each path, or axes (3,) or (paths, 3). statistics: keys of that section of a case. tolerance:
+    each path, or axes (3,) or (paths, 3). statistics, brownian: keys of these sections of a case;
+    Brownian axes turn at random half before and half after each interval of the series, which is
+    of second order in it. tolerance:
     error accepted of each axis at the end, for the interpolant; summary["sampling"] says what the
     samples leave. Memory does not grow with the number of paths.
 
@@ -376,11 +377,8 @@ def ensemble(
             raise SceneError("orientation", f"is {orientation!r}", "isotropic, or axes (..., 3)")
     else:
         axes = np.asarray(orientation, dtype=np.float64)
-    try:
-        settings = Statistics.read(dict(statistics or {}))
-    except Problem as problem:
-        key = ".".join(["statistics", *map(str, problem.key)])
-        raise SceneError(key, problem.wrong, problem.right) from None
-    found = Ensemble(several, flow, axes, settings, tolerance)
+    settings = section("statistics", Statistics, statistics)
+    random = None if brownian is None else section("brownian", Brownian, brownian)
+    found = Ensemble(several, flow, axes, settings, tolerance, random)
     sampling = found.sampling() if settings.sampling else {}
     return found.result((found.block(number) for number in range(found.blocks)), sampling)

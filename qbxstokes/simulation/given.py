@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 
@@ -42,3 +43,14 @@ def require(name: str, value: Any, kind: type, right: str) -> None:
     """Raise SceneError for what is neither None nor of a kind."""
     if value is not None and not isinstance(value, kind):
         raise SceneError(name, f"is {value!r}", right)
+
+
+def section(name: str, kind: Any, given: Any) -> Any:
+    """A section of a case from its keys, or as it is; raises SceneError for wrong ones."""
+    if isinstance(given, kind):
+        return given
+    try:
+        return kind.read(dict(given or {}))
+    except Problem as problem:
+        key = ".".join([name, *map(str, problem.key)])
+        raise SceneError(key, problem.wrong, problem.right) from None

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.case.document import written
 from qbxstokes.case.running import Events as EventSettings
-from qbxstokes.case.values import Problem
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
@@ -23,7 +22,7 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.assembly import Assembled, assemble
-from qbxstokes.simulation.given import numbers, require, require_flow
+from qbxstokes.simulation.given import numbers, require, require_flow, section
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
 
@@ -93,7 +92,7 @@ class Simulation:
         self.velocity = self._optional("velocity", velocity)
         self.angular_velocity = self._optional("angular_velocity", angular_velocity)
         self.loads, self.constraints = loads, constraints
-        self.events = event_settings(events)
+        self.events = section("events", EventSettings, events)
         if not 0.0 < tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
         self.tolerance = float(tolerance)
@@ -282,14 +281,3 @@ class Stack:
     def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
         """The motion of all lanes, one after the other: see `Simulation.integrate`."""
         return assemble(self.parts, workshop).motion(times)
-
-
-def event_settings(given: Mapping[str, Any] | EventSettings | None) -> EventSettings:
-    """The section `events` of a case from its keys."""
-    if isinstance(given, EventSettings):
-        return given
-    try:
-        return EventSettings.read(dict(given or {}))
-    except Problem as problem:
-        key = ".".join(["events", *map(str, problem.key)])
-        raise SceneError(key, problem.wrong, problem.right) from None
