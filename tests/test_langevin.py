@@ -112,9 +112,9 @@ def test_ensembles_turn_and_stress_as_the_density_says() -> None:
 
 def test_isotropic_axes_stress_a_fluid_as_they_must() -> None:
     """<S:E>/(2 <E:E> V) = (S0 + 2 S1 + 2 S2)/(10 V) where axes do not know the gradients."""
-    gradients = np.random.default_rng(1).standard_normal((4000, 4, 3, 3))
+    gradients = np.random.default_rng(1).standard_normal((4000, 6, 3, 3))
     gradients -= np.trace(gradients, axis1=2, axis2=3)[..., None, None] * np.eye(3) / 3.0
-    series = qs.GradientSeries(1e-6 * np.arange(4.0), gradients)
+    series = qs.GradientSeries(1e-6 * np.arange(6.0), gradients)
     found = qs.ensemble(qs.Body(0.1), series, statistics={"stresses": True, "sampling": False})
     assert found.stresses is not None
     mean, error = found.stresses["intrinsic_viscosity"]
