@@ -193,20 +193,21 @@ class Coupled:
         """Polar nodes of grids that show, by what they miss, how well these resolve."""
         return [max(n - _LESS, LEAST_NODES - _LESS) for n in self.nodes]
 
-    def estimated(self, fine: Array, coarse: Array) -> float:
+    def estimated(self, fine: Array, coarse: Array, size: float = 0.0) -> float:
         """Estimated largest error of what was found here, by what the coarser grids found.
 
         Errors fall by exp(-SLOW times the least rate) a node, or faster: near contact, where that
         is slow, the difference is taken times what remains of it. Besides the solver's tolerance,
-        which both share.
+        which both share, of what was found or of a larger size that it is made of.
         """
-        rate = float(closest(self.bodies, self.wall)[2].min())
-        left = math.exp(-_LESS * SLOW * rate)
         change = float(np.abs(fine - coarse).max(initial=0.0))
         if change == 0.0:  # what is given, not found
             return 0.0
-        shared = _SHARED * self.tolerance * float(np.abs(fine).max(initial=0.0))
-        return change * max(1.0, 2.0 * left / max(1.0 - left, 1e-3)) + shared
+        rate = float(closest(self.bodies, self.wall)[2].min())
+        left = math.exp(-_LESS * SLOW * rate)
+        size = max(size, float(np.abs(fine).max(initial=0.0)))
+        factor = max(2.0, 3.0 * left / max(1.0 - left, 1e-3))
+        return change * factor + _SHARED * self.tolerance * size
 
     def split(self, x: Array) -> list[Array]:
         """Velocities (N, 3) of the own bodies from the vector of unknowns, body frames."""
@@ -268,7 +269,7 @@ class Coupled:
     def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
         """Velocity (N, 3), in space, of body c's own flow at points of space."""
         table = table or self.table_at(c, points, False)
-        return np.asarray(table.evaluate(flow)["velocity"] @ self.bodies[c].rotation.T)
+        return np.asarray(table.velocity(flow) @ self.bodies[c].rotation.T)
 
     def exterior(self, c: int, flow: ComplexArray) -> ExteriorFlow:
         """Body c's own flow in its frame, to be evaluated anywhere outside it."""
@@ -281,11 +282,10 @@ class Coupled:
         assert self.wall is not None
         table = table or self.table_at(c, points, True)
         turn, size = self.bodies[c].rotation, self.bodies[c].size
-        own, normal = table.evaluate(flow, True), self.wall.normal
-        u, p = own["velocity"], own["pressure"]
+        normal = self.wall.normal
+        u, lift, push, p = table.mirrored(flow, turn.T @ normal)
         h = self.wall.height(points)[:, None]
-        lift = (turn.T @ normal) @ own["gradient"] @ turn.T / size
-        push = own["pressure_gradient"] @ turn.T / size**2
+        lift, push = lift @ turn.T / size, push @ turn.T / size**2
         sum_ = 2.0 * h * lift + h * h * push
         sum_ -= 2.0 * (sum_ @ normal)[:, None] * normal
         pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)

@@ -190,16 +190,34 @@ class Table:
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
 
-    def _sums(self, c: ComplexArray) -> Array:
-        flat = np.ascontiguousarray(c[:, self.rows, self.columns].T)
-        real = np.stack([flat.real, flat.imag], axis=1).reshape(-1, 4)
-        n, count = self.values.shape[:2]
-        product: Array = self.values.reshape(n * count, -1) @ real
-        return product.reshape(n, count, 4)
+    def _flat(self, c: ComplexArray) -> Array:
+        """Real and imaginary parts (4, 2 K), interleaved."""
+        return np.ascontiguousarray(c[:, self.rows, self.columns]).view(np.float64)
+
+    def velocity(self, c: ComplexArray) -> Array:
+        """Velocity (P, 3)."""
+        from qbxstokes.qbx.exterior_basis import velocities
+
+        found = np.empty((len(self.points), 3))
+        velocities(np.ascontiguousarray(self.points), self.values, self._flat(c), found)
+        return found
+
+    def mirrored(self, c: ComplexArray, normal: Array) -> tuple[Array, Array, Array, Array]:
+        """What a wall's answer is made of, with second derivatives: u, grad(u . N), grad p, p.
+
+        normal (3,): N, in the body frame.
+        """
+        from qbxstokes.qbx.exterior_basis import mirrored
+
+        found = np.empty((len(self.points), 10))
+        points, direction = map(np.ascontiguousarray, (self.points, normal))
+        mirrored(points, self.values, self._flat(c), direction, found)
+        return found[:, :3], found[:, 3:6], found[:, 6:9], found[:, 9]
 
     def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
         """Velocity and pressure, with second derivatives all of WHAT but the stress."""
-        s = self._sums(c)
+        n, count = self.values.shape[:2]
+        s = (self.values.reshape(n * count, -1) @ self._flat(c).T).reshape(n, count, 4)
         first = s[1:4]
         found = {
             "velocity": s[0, :, :3]

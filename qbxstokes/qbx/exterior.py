@@ -173,10 +173,10 @@ class SurfaceToExterior:
         h, (inverse, moments) = self.harmonics, self._blocks
         count, size = len(inverse), self.degree + 1
         modes = to_modes(velocity, self.grid.n_theta, self.grid.n_phi)[:count]
-        density = np.matmul(inverse, modes[..., None])[..., 0]
+        density = _applied(inverse, modes)
         twice = np.where(np.arange(count) > 0, 2.0, 1.0)[:, None]
         c = np.zeros((4, h.orders, h.degree + 1), dtype=np.complex128)
-        c[3, :count] = twice * np.matmul(moments, density[..., None])[..., 0]
+        c[3, :count] = twice * _applied(moments, density)
         # B_x + i B_y of orders m + 1 and, from the conjugate modes, -(m - 1).
         plus, minus, axial = np.moveaxis(density.reshape(count, 3, size), 1, 0)
         a = plus * h.gain[1 : count + 1, :size]
@@ -233,3 +233,9 @@ class SurfaceToExterior:
         x, w = np.polynomial.legendre.leggauss(self.degree + 3)
         theta = np.arccos(-x)
         return theta, w, self.harmonics.polar(theta)
+
+
+def _applied(blocks: Array, modes: ComplexArray) -> ComplexArray:
+    """Real blocks (M, a, b) on complex modes (M, b)."""
+    parts = np.ascontiguousarray(modes).view(np.float64).reshape(*modes.shape, 2)
+    return np.ascontiguousarray(blocks @ parts).view(np.complex128)[..., 0]

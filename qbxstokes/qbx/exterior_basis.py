@@ -97,3 +97,56 @@ def tabulate(  # type: ignore[no-untyped-def]
             w1 = (m + 1) / k * w
             w *= zk
             start *= k * k / alpha2
+
+
+@njit(cache=True, fastmath=True)
+def velocities(points, table, c, velocity):  # type: ignore[no-untyped-def]
+    """Fill the velocities (P, 3) of the flow u_i = E B_i + d_i E (C - x . B), summed over E.
+
+    table: of `tabulate`; c (4, 2 K): real and imaginary parts of B_x, B_y, B_z and C, interleaved.
+    """
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u, v, w = 0.0, 0.0, 0.0
+        for j in range(c.shape[1]):
+            s = c[3, j] - x * c[0, j] - y * c[1, j] - z * c[2, j]
+            e = table[0, i, j]
+            u += e * c[0, j] + table[1, i, j] * s
+            v += e * c[1, j] + table[2, i, j] * s
+            w += e * c[2, j] + table[3, i, j] * s
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = u, v, w
+
+
+@njit(cache=True, fastmath=True)
+def mirrored(points, table, c, normal, found):  # type: ignore[no-untyped-def]
+    """Fill (P, 10): u, grad(u . N), grad p and p of the flow, of the same table and c.
+
+    With the second derivatives E_ij: grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B),
+    p = -2 E_i B_i. normal: N in the body frame.
+    """
+    n0, n1, n2 = normal[0], normal[1], normal[2]
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u0, u1, u2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        q0, q1, q2, p = 0.0, 0.0, 0.0, 0.0
+        for j in range(c.shape[1]):
+            b0, b1, b2 = c[0, j], c[1, j], c[2, j]
+            s = c[3, j] - x * b0 - y * b1 - z * b2
+            e, e0, e1, e2 = table[0, i, j], table[1, i, j], table[2, i, j], table[3, i, j]
+            xx, yy, zz = table[4, i, j], table[5, i, j], table[6, i, j]
+            xy, xz, yz = table[7, i, j], table[8, i, j], table[9, i, j]
+            along, slope = b0 * n0 + b1 * n1 + b2 * n2, e0 * n0 + e1 * n1 + e2 * n2
+            u0 += e * b0 + e0 * s
+            u1 += e * b1 + e1 * s
+            u2 += e * b2 + e2 * s
+            g0 += e0 * along - slope * b0 + (xx * n0 + xy * n1 + xz * n2) * s
+            g1 += e1 * along - slope * b1 + (xy * n0 + yy * n1 + yz * n2) * s
+            g2 += e2 * along - slope * b2 + (xz * n0 + yz * n1 + zz * n2) * s
+            q0 += xx * b0 + xy * b1 + xz * b2
+            q1 += xy * b0 + yy * b1 + yz * b2
+            q2 += xz * b0 + yz * b1 + zz * b2
+            p += e0 * b0 + e1 * b1 + e2 * b2
+        found[i, 0], found[i, 1], found[i, 2] = u0, u1, u2
+        found[i, 3], found[i, 4], found[i, 5] = g0, g1, g2
+        found[i, 6], found[i, 7], found[i, 8] = -2.0 * q0, -2.0 * q1, -2.0 * q2
+        found[i, 9] = -2.0 * p

@@ -51,12 +51,21 @@ class Solution:
         Absolute, by solving again with two polar nodes less (`bie.coupling.estimated`); given
         parts of the motion or loads have none.
         """
-        coarse = self._again(self.problem.coarser)
-        names = "velocity", "angular_velocity", "force", "torque", "stresslet"
-        return {
-            name: self.problem.estimated(getattr(self, name), getattr(coarse, name))
-            for name in names
-        }
+        problem, coarse = self.problem, self._again(self.problem.coarser)
+        arm = max(body.size * body.shape.radius for body in problem.bodies)
+        # Powers of the arm by which quantities of a kind are of one size: moments and forces.
+        kinds: tuple[dict[str, int], ...] = (
+            {"velocity": 0, "angular_velocity": 1},
+            {"force": 1, "torque": 0, "stresslet": 0},
+        )
+        found = {}
+        for kind in kinds:
+            whole = {name: np.abs(getattr(self, name)).max() * arm**p for name, p in kind.items()}
+            for name, power in kind.items():
+                size = max(whole.values()) / arm**power
+                pair = getattr(self, name), getattr(coarse, name)
+                found[name] = problem.estimated(*pair, float(size))
+        return found
 
     def field(self, flow: Flow | None, points: Array, t: float = 0.0) -> dict[str, Array]:
         """Velocity and pressure at points (P, 3) of space, in the flow that was solved in."""
