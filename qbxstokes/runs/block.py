@@ -20,7 +20,7 @@ from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.quantities import COLUMNS, RECORDABLE, Quantity
-from qbxstokes.runs.gathering import Gathering, Item
+from qbxstokes.runs.gathering import Keeper
 from qbxstokes.runs.scenes import STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
@@ -128,27 +128,6 @@ def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array
     if form == "euler":
         return rotation.from_euler(*parts)
     return rotation.from_axis(orbit_axis(orbit_ratio(case.body.outline), *parts))
-
-
-class Keeper:
-    """Keeps the state of a block in work on disk, so that a run that is killed loses little."""
-
-    def __init__(self, gathering: Gathering, name: str, only: list[int]) -> None:
-        self._gathering, self._name, self._only = gathering, name, only
-
-    def late(self, ahead: float) -> bool:
-        """Whether the state is to be saved now, the next chance being so many seconds ahead."""
-        return self._gathering.late(ahead)
-
-    def save(self, arrays: Mapping[str, NDArray[Any]], note: Mapping[str, Any]) -> None:
-        """Make the state safe, and whatever else this rank has finished."""
-        self._gathering.save()
-        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
-
-    def load(self) -> Item | None:
-        """The state that an earlier run has left of this block, None without one."""
-        found = self._gathering.work.state(self._name)
-        return found if found is not None and found[1]["only"] == self._only else None
 
 
 # Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.

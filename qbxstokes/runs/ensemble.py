@@ -11,7 +11,6 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.series import GradientSeries, series_of_case
 from qbxstokes.geometry import rotation
 from qbxstokes.io.cache import open_cache
-from qbxstokes.io.store import Work, holds_work, open_work
+from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import of_ensemble
 from qbxstokes.runs.gathering import Gathering, notes, seconds_between
@@ -33,7 +32,7 @@ from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
-from qbxstokes.runs.target import finished_result, identity_of, result_path
+from qbxstokes.runs.target import identity_of, result_path, working_folder
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added
 from qbxstokes.simulation.ensemble_means import Found
@@ -174,46 +173,28 @@ def _run(job: Job, ensemble: Ensemble, swept: dict[str, NDArray[Any]]) -> dict[s
     units = units_of(ensemble)
     identity = identity_of(loaded, [], units=len(units), block=BLOCK)
     every = seconds_between(loaded)
-    own: list[Work] = []
-
-    def opened() -> tuple[Any, list[int], Path | None]:
-        resume = job.options.resume
-        done = finished_result(loaded, identity) if resume and not job.overwrite else None
-        if done is not None:
-            return None, [], done
-        asked = result_path(loaded)
-        own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
-        own[0].note_run()
-        finished = [note["unit"] for note in notes(own[0], UNITS)] if own[0].resumed else []
-        return own[0].joined(0), finished, None
-
-    folder, finished, done = on_root(comm, opened)
-    if done is not None:
-        return {"result": str(done), "finished_before": True}
-    folder = own[0] if own else folder.joined(comm.rank)
-    try:
+    with working_folder(
+        job, identity, lambda work: [note["unit"] for note in notes(work, UNITS)]
+    ) as (folder, found):
+        if folder is None:
+            return {"result": str(found), "finished_before": True}
         with job.clock.part("models"):
             cache = open_cache(loaded.case.hydrodynamics.cache, job.options.no_cache)
             formed = on_root(comm, lambda: ensemble.with_laws(Workshop(cache=cache)).given_laws)
             ensemble = replace(ensemble, given_laws=formed)
         gathering = Gathering(comm, folder, UNITS, every=every)
-        left = sorted(set(range(len(units))) - set(finished))
+        left = sorted(set(range(len(units))) - set(found))
         begin = time.perf_counter()
         sampling = _follow(job, ensemble, units, left, gathering)
         with job.clock.part("output"):
             if comm.rank:
                 list(gathering.collect())
-            summary = on_root(
+            return on_root(
                 comm,
                 lambda: _write(
                     job, ensemble, swept, folder, gathering, len(units), sampling, begin
                 ),
             )
-    except BaseException:
-        folder.close(remove=not holds_work(folder.folder) and comm.rank == 0)
-        raise
-    folder.close(remove=comm.rank == 0)
-    return summary
 
 
 def _follow(

@@ -16,17 +16,16 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
 from qbxstokes.io.names import told_by
-from qbxstokes.io.store import Work, holds_work, open_work
+from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
 from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
-from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.plan import plan_field
 from qbxstokes.runs.progress import Clock, compilation_told
 from qbxstokes.runs.rows import ALONE, RowTeam
-from qbxstokes.runs.target import finished_result, identity_of, result_path
+from qbxstokes.runs.target import identity_of, working_folder
 from qbxstokes.simulation.around import Instant
 from qbxstokes.simulation.assembly import Assembled
 
@@ -42,32 +41,13 @@ FIELD = "field"
 def run_field(job: Job) -> dict[str, Any]:
     """Carry out `task: field` on all ranks; returns the summary on all of them."""
     comm, loaded = job.comm, job.loaded
-    identity = identity_of(loaded, [])
     seconds_between(loaded)
-    own: list[Work] = []
-
-    def opened() -> tuple[Any, Path | None]:
-        resume, done = job.options.resume, None
-        if resume and not job.overwrite:
-            done = finished_result(loaded, identity)
-        if done is None:
-            asked = result_path(loaded)
-            own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
-            own[0].note_run()
-        return (own[0].joined(0) if own else None), done
-
-    folder, done = on_root(comm, opened)
-    if done is not None:
-        return {"result": str(done), "finished_before": True}
-    try:
+    with working_folder(job, identity_of(loaded, [])) as (folder, done):
+        if folder is None:
+            return {"result": str(done), "finished_before": True}
         job.interruption.listening = True
         with compilation_told(comm, not job.options.quiet):
-            folder = own[0] if own else folder.joined(comm.rank)
             summary = _computed(job, folder)
-    except BaseException:
-        folder.close(remove=not holds_work(folder.folder) and comm.rank == 0)
-        raise
-    folder.close(remove=comm.rank == 0)
     return dict(comm.bcast(summary))
 
 

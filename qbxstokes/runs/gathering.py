@@ -88,6 +88,27 @@ class Gathering:
             self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
 
 
+class Keeper:
+    """Keeps the state of a block in work on disk, so that a run that is killed loses little."""
+
+    def __init__(self, gathering: Gathering, name: str, only: list[int]) -> None:
+        self._gathering, self._name, self._only = gathering, name, only
+
+    def late(self, ahead: float) -> bool:
+        """Whether the state is to be saved now, the next chance being so many seconds ahead."""
+        return self._gathering.late(ahead)
+
+    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+        """Make the state safe, and whatever else this rank has finished."""
+        self._gathering.save()
+        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
+
+    def load(self) -> Item | None:
+        """The state that an earlier run has left of this block, None without one."""
+        found = self._gathering.work.state(self._name)
+        return found if found is not None and found[1]["only"] == self._only else None
+
+
 def read_whole(path: Path, names: Sequence[str] | None = None) -> Item:
     """Arrays (those of the names, or all) and note of a part; removes it if it is damaged.
 

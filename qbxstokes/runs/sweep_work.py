@@ -20,7 +20,7 @@ from qbxstokes.io.cache import SharedCache, open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.runs import block
-from qbxstokes.runs.gathering import Gathering, notes
+from qbxstokes.runs.gathering import Gathering, Keeper, notes
 from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.parallel import HandOut
@@ -313,7 +313,7 @@ class _Together:
             except QbxStokesError as error:
                 lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
         index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
-        keeper = block.Keeper(self._gathering, str(number), [] if only is None else index.tolist())
+        keeper = Keeper(self._gathering, str(number), [] if only is None else index.tolist())
         result = block.compute_block(
             simulations,
             times,

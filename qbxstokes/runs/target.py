@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
-from qbxstokes.io.store import NUMBERED, first_difference, free_name, holds_work, remove_remains
+from qbxstokes.io.store import (
+    NUMBERED,
+    Work,
+    first_difference,
+    free_name,
+    holds_work,
+    open_work,
+    remove_remains,
+)
+from qbxstokes.runs.parallel import on_root
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 # Sections that no number depends on, for every task.
 _IRRELEVANT = ("title", "output", "compare", "checkpoint")
@@ -77,6 +90,41 @@ def finished_result(loaded: LoadedCase, identity: Mapping[str, Any]) -> Path | N
     if other:
         raise CaseError(f"{other}, and no unfinished run is left to go on with; leave out --resume")
     return None
+
+
+@contextmanager
+def working_folder(
+    job: Job, identity: Mapping[str, Any], kept: Callable[[Work], Any] = lambda _: None
+) -> Iterator[tuple[Work | None, Any]]:
+    """The working folder of the case's result for this rank, held by rank 0, and what is in it.
+
+    kept: says on rank 0 what earlier runs have left in the folder. Without a folder: the result of
+    this very run, where nothing is left to go on with. The folder goes at the end; where an error
+    ends the run, only if nothing is in it.
+    """
+    comm, loaded, resume = job.comm, job.loaded, job.options.resume
+    own: list[Work] = []
+
+    def opened() -> tuple[Work | None, Any]:
+        done = finished_result(loaded, identity) if resume and not job.overwrite else None
+        if done is not None:
+            return None, done
+        asked = result_path(loaded)
+        own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
+        own[0].note_run()
+        return own[0].joined(0), kept(own[0])
+
+    folder, found = on_root(comm, opened)
+    if folder is None:
+        yield None, found
+        return
+    folder = own[0] if own else folder.joined(comm.rank)
+    try:
+        yield folder, found
+    except BaseException:
+        folder.close(remove=comm.rank == 0 and not holds_work(folder.folder))
+        raise
+    folder.close(remove=comm.rank == 0)
 
 
 def _files(value: Any, folder: Path) -> Iterator[tuple[str, str]]:
