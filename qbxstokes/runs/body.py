@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.rows import RowTeam, with_team
@@ -25,13 +24,12 @@ def run_body(job: Job) -> dict[str, Any]:
     """
 
     def compute(team: RowTeam) -> dict[str, Any]:
-        with ResultWriter(job.target, "body", job.provenance, job.overwrite) as writer:
-            return _compute(job, Workshop(team), writer)
+        return _computed(job, Workshop(team))
 
     return on_root(job.comm, with_team(job.comm, compute))
 
 
-def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, Any]:
+def _computed(job: Job, workshop: Workshop) -> dict[str, Any]:
     """Form the body, write the result file, and return the summary."""
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     in_flow = loaded.case.flow is not None
@@ -46,11 +44,7 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
         with clock.part("comparison"):
             compared = law.errors(arrays)
             compared.add("stresslet", "Jeffery, Kim and Karrila", law.stresslet_error())
-    summary: dict[str, Any] = {
-        "case": str(loaded.path),
-        "title": loaded.case.title,
-        "task": loaded.case.task,
-        "complete": True,
+    found = {
         "hydrodynamics": formed.report(),
         "nodes": int(formed.facts["n_theta"]) * int(formed.facts["n_phi"]),
         "setup_time": clock.parts["set-up"],
@@ -59,10 +53,5 @@ def _compute(job: Job, workshop: Workshop, writer: ResultWriter) -> dict[str, An
         "errors": compared.errors,
         "references": compared.references,
         "largest_error": compared.largest,
-        "skipped": list(job.plan.skips),
     }
-    with clock.part("output"):
-        writer.put(arrays, BODY)
-        summary["wall_times"] = dict(clock.parts)
-        summary["result"] = str(writer.finish(summary))
-    return {**arrays, **summary}
+    return {**arrays, **job.write(found, arrays, BODY)}

@@ -17,6 +17,7 @@ from qbxstokes.runs.progress import Clock
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase
+    from qbxstokes.quantities import Quantity
 
 
 @dataclass
@@ -57,6 +58,35 @@ class Job:
             say(json.dumps(plain(data), indent=2))
         elif self.comm.rank == 0 and not self.options.quiet:
             say(text())
+
+    def heading(self, complete: bool = True) -> dict[str, Any]:
+        """What every summary begins with. complete: whether the result is what was asked for."""
+        case = self.loaded.case
+        told = {"case": str(self.loaded.path), "title": case.title, "task": case.task}
+        return {**told, "complete": complete}
+
+    def write(
+        self,
+        found: Mapping[str, Any],
+        arrays: Mapping[str, Any],
+        about: Mapping[str, Quantity],
+    ) -> dict[str, Any]:
+        """Write the result of a task that ends at once, whole arrays; returns the summary.
+
+        found: what the summary says besides. about: what the arrays are.
+        """
+        from qbxstokes.io.writer import ResultWriter
+
+        summary = {**self.heading(), **found, "skipped": list(self.plan.skips)}
+        task, record = self.loaded.case.task, self.provenance
+        with (
+            self.clock.part("output"),
+            ResultWriter(self.target, task, record, self.overwrite) as writer,
+        ):
+            writer.put(arrays, about)
+            summary["wall_times"] = dict(self.clock.parts)
+            summary["result"] = str(writer.finish(summary))
+        return summary
 
     def conclude(self, summary: dict[str, Any], text: Callable[[], str]) -> None:
         """Tell the summary of rank 0, now with the times and the options that nothing has used."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components
-from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import COUPLED
 from qbxstokes.runs.parallel import agree, on_root
 from qbxstokes.simulation.coupled import CoupledSimulation
@@ -42,24 +41,7 @@ def run_coupled(job: Job) -> dict[str, Any]:
         failure = error
     agree(comm, failure)
 
-    def write() -> dict[str, Any]:
-        whole: dict[str, Any] = {
-            "case": str(loaded.path),
-            "title": loaded.case.title,
-            "task": loaded.case.task,
-            "complete": True,
-            **summary,
-        }
-        with (
-            job.clock.part("output"),
-            ResultWriter(job.target, loaded.case.task, job.provenance, job.overwrite) as writer,
-        ):
-            writer.put(arrays, COUPLED)
-            whole["wall_times"] = dict(job.clock.parts)
-            whole["result"] = str(writer.finish(whole))
-        return {**arrays, **whole}
-
-    return on_root(comm, write)
+    return on_root(comm, lambda: {**arrays, **job.write(summary, arrays, COUPLED)})
 
 
 def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]]:

@@ -257,7 +257,7 @@ def _write(
     begin: float,
 ) -> dict[str, Any]:
     """On rank 0: the sums of all units in their order, into the result file; the summary."""
-    loaded, held = job.loaded, {}
+    held: dict[int, dict[str, NDArray[Any]]] = {}
     trace = 0.0
     try:
         for arrays, note in gathering.collect():
@@ -273,10 +273,8 @@ def _write(
     }
     arrays |= dict(arrays_of(found))
     summary = {
-        "case": str(loaded.path),
-        "title": loaded.case.title,
+        **job.heading(),
         "task": "ensemble",
-        "complete": True,
         **found.summary,
         "trace": trace,
         "bodies": len(ensemble.bodies),

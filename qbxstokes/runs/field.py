@@ -98,10 +98,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
             store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
         errors = facts.pop("errors")
         summary: dict[str, Any] = {
-            "case": str(loaded.path),
-            "title": case.title,
-            "task": case.task,
-            "complete": True,
+            **job.heading(),
             **facts,
             "velocity": velocity,
             "angular_velocity": spin,

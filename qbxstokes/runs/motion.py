@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +12,11 @@ import numpy as np
 from qbxstokes.errors import ConvergenceError, Interrupted
 from qbxstokes.io.cache import open_cache
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.motion.events import Events
 from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.rows import RowTeam, with_team
-from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -46,60 +44,85 @@ def run_motion(job: Job) -> dict[str, Any]:
         # Options of the solver want to be seen at work.
         off = job.options.no_cache or bool(session.solver_options(job.PETSc))
         workshop = Workshop(team, open_cache(loaded.case.hydrodynamics.cache, off))
-        options = session.stepper_options(job.PETSc)
-        recording = Recording(loaded, job.plan, options, job.options.resume, job.overwrite)
-        if recording.finished is not None:
-            return {"result": str(recording.finished), "finished_before": True}
-        try:
-            return _computed(job, recording, workshop, team)
-        finally:
-            recording.close()
+        return recorded(job, lambda recording: _computed(job, recording, workshop, team))
 
     job.interruption.patient = comm.rank != 0
     return on_root(comm, with_team(comm, compute, {"field": help_with_field}))
 
 
-def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam) -> dict[str, Any]:
-    """Compute the motion on this process, write the result file, and return the summary.
+def recorded(job: Job, follow: Callable[[Recording], dict[str, Any]]) -> dict[str, Any]:
+    """What `follow` makes of a motion, unless an earlier run has finished it."""
+    options = session.stepper_options(job.PETSc)
+    recording = Recording(job.loaded, job.plan, options, job.options.resume, job.overwrite)
+    if recording.finished is not None:
+        return {"result": str(recording.finished), "finished_before": True}
+    try:
+        return follow(recording)
+    finally:
+        recording.close()
 
-    workshop: who shares the set-up, and where operators are kept. team: the ranks that share the
-    field. Raises Interrupted where a signal asks for it, after what there is has been written and
-    made safe, and ConvergenceError where the motion cannot be followed further, likewise.
+
+def followed(
+    job: Job,
+    recording: Recording,
+    assembled: Any,
+    watch: Any,
+    facts: Callable[[Trajectory], dict[str, Any]],
+    conclude: Callable[[dict[str, Any], Mapping[str, Any], ResultWriter], None],
+) -> dict[str, Any]:
+    """Follow a motion on this process, write its result file, and return the summary.
+
+    watch: for events. facts: what the summary says of the computation. conclude: adds to the
+    summary and to the file what follows from the samples. Raises Interrupted where a signal asks
+    for it, after what there is has been written and made safe, and ConvergenceError where the
+    motion cannot be followed further, likewise.
     """
     case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
-    with clock.part("set-up"), pointed(job.loaded):
-        assembled = plan.simulation.assemble(workshop, checked=True)
-        events = assembled.watch()
     with clock.part("motion"):
-        events.begin(0.0, assembled.initial)
-        receive = recording.receiver(assembled, events)
+        watch.begin(0.0, assembled.initial)
+        receive = recording.receiver(assembled, watch)
         interruption.listening = True
         trajectory = assembled.trajectory(
             plan.times,
             recording.start,
             on_chunk=receive,
             interrupted=interruption.asked,
-            observe=events,
+            observe=watch,
             **recording.limits,
         )
         if trajectory.refusal:
-            events.ended = ("clearance", trajectory.refusal)
+            watch.ended = ("clearance", trajectory.refusal)
     if trajectory.failure and not trajectory.checkpoint.steps:  # there is nothing to keep
         recording.close(remove=True)
         raise ConvergenceError(trajectory.failure)
-    if not trajectory.finished:
+    if not trajectory.finished or case.field is not None:  # which may take longer than the motion
         recording.save()
         if not recording.saved:
             raise interrupted(recording, {}, trajectory.reached, interruption.signal)
-    if case.field is not None:
-        recording.save()  # a field may take longer than the motion
-    summary = _facts(job, assembled, trajectory, events, recording)
+    summary = {
+        **job.heading(trajectory.finished and not trajectory.failure),
+        "failure": trajectory.failure,
+        "resumed_at": recording.resumed_at,
+        "integration": integration_facts(trajectory),
+        **facts(trajectory),
+        "skipped": list(plan.skips),
+    }
     replace = recording.overwrite or recording.replaces(recording.target)
     record = {**job.provenance, **recording.provenance}
     folder = recording.work.folder
     with ResultWriter(recording.target, case.task, record, replace, folder) as writer:
-        _conclude(job, recording, writer, summary, assembled, team)
-    if case.field is not None and summary["complete"]:
+        with clock.part("output"):
+            samples = recording.write(writer, plan.quantities)
+        summary["samples"] = recording.samples
+        if len(samples["time"]):
+            for name in ("position", "orientation", "axis"):
+                summary[f"final_{name}"] = samples[name][-1]
+            summary["end"] = float(samples["time"][-1])
+        conclude(summary, samples, writer)
+        with clock.part("output"):
+            summary["wall_times"] = dict(clock.parts)
+            summary["result"] = str(writer.finish(summary))
+    if "field" in summary:
         from qbxstokes.runs.field import draw_pictures
 
         summary["field"]["files"] += draw_pictures(job.loaded, clock, Path(summary["result"]))
@@ -111,71 +134,54 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
     return summary
 
 
-def _conclude(
-    job: Job,
-    recording: Recording,
-    writer: ResultWriter,
-    summary: dict[str, Any],
-    assembled: Assembled,
-    team: RowTeam,
-) -> None:
-    """Samples, comparison, field and summary into the result file."""
+def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam) -> dict[str, Any]:
+    """The motion of a single body; returns the summary.
+
+    workshop: who shares the set-up, and where operators are kept. team: the ranks that share the
+    field.
+    """
     loaded, case, clock = job.loaded, job.loaded.case, job.clock
-    with clock.part("output"):
-        samples = recording.write(writer, job.plan.quantities)
-    times = samples["time"]
-    summary["samples"] = recording.samples
-    if len(times):
-        for name in ("position", "orientation", "axis"):
-            summary[f"final_{name}"] = samples[name][-1]
-        summary["end"] = float(times[-1])
-    conserved = not (case.body.stokes_number or case.forces.given or case.constraints.given)
-    if conserved and shear_rate(loaded.flow) is not None:
-        summary["orbit_constant_drift"] = float(samples["largest_orbit_drift"])
-    comparison = Comparison()
-    if case.compare.reference != "none" and summary["complete"] and len(times):
-        with clock.part("comparison"):
-            comparison = compare_samples(assembled, times, samples)
-    summary |= {
-        "errors": comparison.errors,
-        "references": comparison.references,
-        "note": comparison.note,
-        "largest_error": comparison.largest,
-    }
-    if case.field is not None and summary["complete"]:
-        from qbxstokes.runs.field import export_field, field_of_motion
+    with clock.part("set-up"), pointed(loaded):
+        assembled = job.plan.simulation.assemble(workshop, checked=True)
+        events = assembled.watch()
 
-        summary["field"] = field_of_motion(
-            job, times, samples, writer, assembled, team, recording.work
-        )
-        summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.work)
-    with clock.part("output"):
-        summary["wall_times"] = dict(clock.parts)
-        summary["result"] = str(writer.finish(summary))
+    def facts(trajectory: Trajectory) -> dict[str, Any]:
+        body = assembled.hydrodynamics[0]
+        resistance = body.model.formed_resistance
+        return {
+            "jeffery_period": job.plan.period,
+            "hydrodynamics": body.report(),
+            "cache_problems": body.problems,
+            **({"resistance": vars(resistance)} if resistance else {}),
+            "relaxation_times": relaxation_times(assembled.equations),
+            "events": events_summary(events),
+        }
 
+    def conclude(summary: dict[str, Any], samples: Mapping[str, Any], writer: ResultWriter) -> None:
+        """Comparison and field."""
+        times = samples["time"]
+        conserved = not (case.body.stokes_number or case.forces.given or case.constraints.given)
+        if conserved and shear_rate(loaded.flow) is not None:
+            summary["orbit_constant_drift"] = float(samples["largest_orbit_drift"])
+        comparison = Comparison()
+        if case.compare.reference != "none" and summary["complete"] and len(times):
+            with clock.part("comparison"):
+                comparison = compare_samples(assembled, times, samples)
+        summary |= {
+            "errors": comparison.errors,
+            "references": comparison.references,
+            "note": comparison.note,
+            "largest_error": comparison.largest,
+        }
+        if case.field is not None and summary["complete"]:
+            from qbxstokes.runs.field import export_field, field_of_motion
 
-def _facts(
-    job: Job, assembled: Assembled, trajectory: Trajectory, events: Events, recording: Recording
-) -> dict[str, Any]:
-    """What the summary says of the computation itself."""
-    loaded, plan = job.loaded, job.plan
-    case, body = loaded.case, assembled.hydrodynamics[0]
-    return {
-        "case": str(loaded.path),
-        "title": case.title,
-        "task": case.task,
-        "complete": trajectory.finished and not trajectory.failure,
-        "failure": trajectory.failure,
-        "resumed_at": recording.resumed_at,
-        "jeffery_period": plan.period,
-        "hydrodynamics": body.report(),
-        "cache_problems": body.problems,
-        **({"resistance": vars(formed)} if (formed := body.model.formed_resistance) else {}),
-        "relaxation_times": relaxation_times(assembled.equations),
-        "integration": integration_facts(trajectory),
-        "events": events_summary(events),
-        "skipped": list(plan.skips),
-    }
+            summary["field"] = field_of_motion(
+                job, times, samples, writer, assembled, team, recording.work
+            )
+            summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.work)
+
+    return followed(job, recording, assembled, events, facts, conclude)
 
 
 def relaxation_times(equations: Any) -> dict[str, float]:

@@ -15,7 +15,6 @@ from qbxstokes.case.rheology import ISOTROPIC, RheologySection
 from qbxstokes.errors import OutputError, SceneError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import open_cache
-from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.plots.style import whole_file
 from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
@@ -58,18 +57,14 @@ def run_rheology(job: Job) -> dict[str, Any]:
             team.join("langevin", ensemble)
             return averaging(ensemble)
 
-        with ResultWriter(job.target, "rheology", job.provenance, job.overwrite) as writer:
-            cache = open_cache(job.loaded.case.hydrodynamics.cache, job.options.no_cache)
-            return _compute(job, Workshop(team, cache), writer, together)
+        cache = open_cache(job.loaded.case.hydrodynamics.cache, job.options.no_cache)
+        return _computed(job, Workshop(team, cache), together)
 
     return on_root(job.comm, with_team(job.comm, compute, {"langevin": averaging}))
 
 
-def _compute(
-    job: Job,
-    workshop: Workshop,
-    writer: ResultWriter,
-    averaging: Callable[[Ensemble], list[Sums]],
+def _computed(
+    job: Job, workshop: Workshop, averaging: Callable[[Ensemble], list[Sums]]
 ) -> dict[str, Any]:
     """Form the body, compute its suspension, write the result file, and return the summary."""
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
@@ -104,30 +99,22 @@ def _compute(
         own = np.array(found.summary["stresslet_numbers"])
         errors["stresslet"] = float(np.max(np.abs(own / exact - 1.0)))
         references["stresslet"] = "Jeffery, Kim and Karrila"
-    summary: dict[str, Any] = {
-        "case": str(loaded.path),
-        "title": case.title,
-        "task": case.task,
-        "complete": True,
+    arrays = found.arrays() | _cycle(found)
+    if isinstance(found, Rheology):
+        arrays |= _distributions(found, section)
+    if found.time is not None:
+        arrays = {"time": found.time, **arrays}
+    told = {
         "hydrodynamics": formed.report(),
         "resistance": vars(formed.model.resistance),
         "suspension": {**found.summary, **_heads(found)},
         "errors": errors,
         "references": references,
         "largest_error": max(errors.values(), default=0.0),
-        "skipped": list(job.plan.skips),
     }
-    with clock.part("output"):
-        arrays = found.arrays() | _cycle(found)
-        if isinstance(found, Rheology):
-            arrays |= _distributions(found, section)
-        if found.time is not None:
-            writer.put({"time": found.time}, {"time": STRAIN_TIME})
-        writer.put(arrays, RHEOLOGY)
-        summary["wall_times"] = dict(clock.parts)
-        summary["result"] = str(writer.finish(summary))
-        if section.tables and "distribution" in arrays:
-            summary["files"] = _write_tables(Path(summary["result"]), arrays)
+    summary = job.write(told, arrays, {"time": STRAIN_TIME, **RHEOLOGY})
+    if section.tables and "distribution" in arrays:
+        summary["files"] = _write_tables(Path(summary["result"]), arrays)
     return summary
 
 
