@@ -199,11 +199,6 @@ class ResultWriter:
             self.file.flush()
             reserve(self.temporary)
 
-    def sync(self) -> None:
-        """Bring what was appended to the disk; raises OutputError."""
-        with self._writing():
-            os.fsync(self.stream.fileno())
-
     def finish(self, summary: Mapping[str, Any] | None = None) -> Path:
         """Write the summary, close, and give the file its name; returns the name it got.
 

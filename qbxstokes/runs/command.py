@@ -50,6 +50,17 @@ class Job:
         self.PETSc, self.provenance = start_petsc(self.comm, self.loaded, self.petsc, self.clock)
         self.interruption.take()
 
+    def tells_plan(self, planned: Callable[[], tuple[dict[str, Any], str]]) -> bool:
+        """Tell what is to be done, as data or text, where that is asked for; whether that is all.
+
+        planned: says both, on rank 0.
+        """
+        options = self.options
+        if options.dry_run or (options.explain and not options.json):
+            facts, text = on_root(self.comm, planned)
+            self.tell(facts, lambda: text)
+        return bool(options.dry_run)
+
     def tell(self, data: Mapping[str, Any], text: Callable[[], str]) -> None:
         """Print data where JSON is asked for, else the text where any is, on rank 0."""
         if self.comm.rank == 0 and self.options.json:
@@ -161,25 +172,20 @@ def compute_case(
 
 def carry_out(job: Job) -> int:
     """Plan and summary of a single motion, body or field; returns the exit status."""
-    loaded, options = job.loaded, job.options
+    loaded = job.loaded
     with job.clock.part("import"):
-        if loaded.case.coupled:
-            from qbxstokes.runs.coupled_report import plan_facts, plan_text, summary_text
-        else:
-            from qbxstokes.runs.summary import plan_facts, plan_text, summary_text
-        from qbxstokes.runs.summary import missed, remarks, takes_text
+        from qbxstokes.runs.summary import missed, plan_facts, plan_text, remarks, summary_text
 
-    job.start()
-    if job.comm.rank == 0 and (options.dry_run or (options.explain and not options.json)):
+    def planned() -> tuple[dict[str, Any], str]:
         from qbxstokes.runs.cost import seconds_of
 
-        seconds = seconds_of(loaded, job.plan) if options.dry_run else None
+        seconds = seconds_of(loaded, job.plan) if job.options.dry_run else None
         facts = {**plan_facts(job.plan, job.target), "seconds": seconds}
-        job.tell(
-            {"case": str(loaded.path), "plan": facts},
-            lambda: plan_text(loaded, job.plan, job.target) + takes_text(seconds),
-        )
-    if options.dry_run:
+        text = plan_text(loaded, job.plan, job.target, seconds)
+        return {"case": str(loaded.path), "plan": facts}, text
+
+    job.start()
+    if job.tells_plan(planned):
         return 0
     run: Callable[[Job], dict[str, Any]]
     with job.clock.part("import"):

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
-    duration,
     error_text,
-    listed,
+    flow_text,
     quantity,
-    render,
     shape_text,
-    spent_text,
     vector,
 )
-from qbxstokes.runs.summary import files, flow_text
 
 _MANY = 6  # bodies that are told one by one
 
@@ -44,36 +38,13 @@ def scene(loaded: LoadedCase) -> Rows:
         yield "flow", flow_text(loaded)
 
 
-def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
-    """The plan as plain data."""
-    return {"needs": list(plan.needs), "skips": list(plan.skips), "output": str(target)}
-
-
-def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
-    """What the task needs, what it skips, and where the result goes."""
-    sections: dict[str, Rows] = {
-        "Scene": scene(loaded),
-        "Needs": listed(plan.needs),
-        "Skips": listed(plan.skips),
-        "Writes": [("", str(target))],
-    }
-    title = f"Plan: {loaded.case.title or loaded.case.task}"
-    return render(title, str(loaded.path), sections) + "\n"
-
-
-def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
-    """What was solved, what was found, estimated errors, times, and the files."""
-    times = summary["wall_times"]
-    sections: dict[str, Rows] = {
-        "Scene": scene(loaded),
+def sections(summary: Mapping[str, Any]) -> dict[str, Rows]:
+    """What was solved and found, and the estimated errors."""
+    return {
         "Solved": _solved(summary),
         "Found": _found(summary),
-        "Skipped": listed(plan.skips),
         "Estimated errors": _errors(summary.get("error_estimates") or summary["velocity_errors"]),
-        "Times": [("total", duration(times["total"])), ("parts", spent_text(times))],
-        "Result": files(loaded, summary),
     }
-    return render(loaded.case.title or f"Task {loaded.case.task}", str(loaded.path), sections)
 
 
 def _solved(summary: Mapping[str, Any]) -> Rows:

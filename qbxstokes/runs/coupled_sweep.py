@@ -13,7 +13,7 @@ from qbxstokes.errors import ConvergenceError
 from qbxstokes.quantities import COUPLED_COLUMNS, Quantity
 from qbxstokes.runs.coupled import computed
 from qbxstokes.runs.plan import CoupledPlan, plan_coupled
-from qbxstokes.runs.scenes import Block
+from qbxstokes.runs.scenes import Alone
 
 if TYPE_CHECKING:
     from qbxstokes.runs.block import BlockResult
@@ -25,47 +25,28 @@ _MOVED = ("final_position", "final_axis")
 _FOUND = ("free_velocity", "free_angular_velocity", "held_force", "held_torque")
 
 
-class CoupledScenes:
-    """All scenes of a sweep, each computed alone: what `Scenes` says of lanes, of them."""
-
-    alone, block_size, turns = True, 1, 1
+class CoupledScenes(Alone):
+    """All scenes of a sweep over several bodies or a wall."""
 
     def __init__(self, loaded: LoadedCase) -> None:
-        assert loaded.space is not None
+        super().__init__(loaded)
         assert loaded.case.sweep is not None
-        self.loaded, self.space = loaded, loaded.space
         if loaded.case.sweep.measure is not None:
             wrong = "has no meaning with a wall or several bodies"
             raise loaded.error("sweep.measure", wrong, "leave it out")
-        self.size = self.blocks = self.space.size
-        self.plan = plan_coupled(loaded)
+        plan = plan_coupled(loaded)
+        self.skips = plan.skips
         self.bodies = len(loaded.case.members) if loaded.case.bodies is not None else 0
         moving = loaded.case.task == "motion"
-        self.nouns = ("trajectory", "trajectories") if moving else ("scene", "scenes")
         self.columns = dict(COUPLED_COLUMNS)
         for name in _MOVED if moving else _FOUND:
             self.columns |= {column: _about(name, column) for column in _columns(name, self.bodies)}
-        self.samples, self.quantities = 0, tuple[str, ...]()
-        self.common_times: Array | None = None
-        if isinstance(self.plan, CoupledPlan):
-            self.samples = len(self.plan.times)
+        if isinstance(plan, CoupledPlan):
+            self.nouns, self.samples = ("trajectory", "trajectories"), len(plan.times)
             if loaded.case.sweep.store == "samples":
-                self.quantities = self.plan.quantities
+                self.quantities = plan.quantities
             if not any(column.key[0] == "time" for _, column in self.space.columns):
-                self.common_times = self.plan.times
-
-    def block(self, number: int) -> Block:
-        """A block by its number."""
-        return Block(number, ((number, np.array([number])),))
-
-    def block_sizes(self) -> Array:
-        """Scenes per block."""
-        return np.ones(self.size, dtype=np.int64)
-
-    @property
-    def skips(self) -> tuple[str, ...]:
-        """What is left out and why, as far as the first scene tells for all."""
-        return self.plan.skips
+                self.common_times = plan.times
 
 
 def _columns(name: str, bodies: int) -> list[str]:

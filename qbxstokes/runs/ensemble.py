@@ -52,13 +52,15 @@ _PATH, _BODY, _LOOK, _BYTE = 2.0e-7, 3.5e-7, 2.0e-7, 1.0e-9
 
 def ensemble_command(job: Job) -> int:
     """Carry out a sweep with `store: statistics`; returns the exit status."""
-    comm, loaded, options = job.comm, job.loaded, job.options
+    loaded, ranks = job.loaded, job.comm.size
     ensemble, swept = ensemble_of(loaded)
-    if options.dry_run or options.explain:
-        facts = plan_facts(ensemble, comm.size)
-        job.tell(facts, lambda: plan_text(loaded, ensemble, facts, comm.size))
-        if options.dry_run:
-            return 0
+
+    def planned() -> tuple[dict[str, Any], str]:
+        facts = plan_facts(ensemble, ranks)
+        return facts, plan_text(loaded, ensemble, facts, ranks)
+
+    if job.tells_plan(planned):
+        return 0
     job.start()
     summary = _run(job, ensemble, swept)
     if "finished_before" in summary:

@@ -52,7 +52,7 @@ class Recording:
         resume: bool,
         overwrite: bool,
     ) -> None:
-        self._loaded, self._plan = loaded, plan
+        self._plan = plan
         self._interval = loaded.case.checkpoint.interval
         if self._interval.unit == "periods" and plan.period is None:
             raise loaded.error(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import textwrap
 from collections.abc import Iterable, Mapping
@@ -13,6 +14,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.listing import holds, units_of, unknown
 
 if TYPE_CHECKING:
+    from qbxstokes.case.load import LoadedCase
     from qbxstokes.io.results import Result
 
 WIDTH = 80
@@ -111,6 +113,38 @@ def size(count: float) -> str:
         if count < limit:
             return f"{count / scale:.3g} {unit}"
     return f"{count / 1e9:.3g} GB"
+
+
+def flow_text(loaded: LoadedCase) -> str:
+    """The flow's name, its keys with their values, given or not, and its degree."""
+    from qbxstokes.flows import REGISTRY
+
+    assert loaded.case.flow is not None
+    given = loaded.case.flow.spec()
+    name = given.pop("type")
+    defaults = {key: value for key, value in REGISTRY[name].keys().items() if _stated(value)}
+    parts = [name, *(f"{key} {_short(value)}" for key, value in {**defaults, **given}.items())]
+    degree = loaded.flow.degree
+    return ", ".join(parts) + ("" if degree is None else f"; polynomial of degree {degree}")
+
+
+def _stated(default: Any) -> bool:
+    """Whether a key has a default that says something."""
+    return default is not None and default is not inspect.Parameter.empty
+
+
+def _short(value: Any) -> str:
+    text = _text(value)
+    return text if len(text) <= 48 else text[:45] + "..."
+
+
+def _text(value: Any) -> str:
+    """A value as in a case file, numbers alike whether or not they were written with a point."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_text(entry)}' for key, entry in value.items())}}}"
+    return quantity(value) if isinstance(value, float) else str(value)
 
 
 def to_json(result: Result) -> str:

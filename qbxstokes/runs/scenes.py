@@ -70,6 +70,34 @@ class Block:
         return np.concatenate([index for _, index in self.pieces])
 
 
+class Alone:
+    """What a sweep is of where each scene is computed by itself: what `Scenes` says, of them.
+
+    turns: how many times each is.
+    """
+
+    nouns = "scene", "scenes"
+    alone, block_size, turns = True, 1, 1
+    samples = 0
+    common_times: NDArray[np.float64] | None = None
+    quantities: tuple[str, ...] = ()
+    columns: dict[str, Quantity]
+    skips: tuple[str, ...]  # what is left out and why, as far as the first tells for all
+
+    def __init__(self, loaded: LoadedCase) -> None:
+        assert loaded.space is not None
+        self.loaded, self.space = loaded, loaded.space
+        self.size = self.blocks = self.space.size
+
+    def block(self, number: int) -> Block:
+        """A block by its number."""
+        return Block(number, ((number, np.array([number])),))
+
+    def block_sizes(self) -> Indices:
+        """Scenes per block."""
+        return np.ones(self.size, dtype=np.int64)
+
+
 class Scenes:
     """All scenes and blocks of a sweep.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping
 from math import inf, isfinite
 from pathlib import Path
@@ -14,17 +13,18 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import BODY
-from qbxstokes.runs.plan import FieldPlan, MotionPlan, Plan
+from qbxstokes.runs import coupled_report
+from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
     duration,
     error_text,
+    flow_text,
     listed,
     near_edge,
     quantity,
     render,
-    section,
     shape_text,
     size,
     spent_text,
@@ -46,6 +46,9 @@ _CHECKS = {
 def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     """Body and flow; where the body is, or what drives it and for how long."""
     case = loaded.case
+    if case.coupled:
+        yield from coupled_report.scene(loaded)
+        return
     shape, stokes = shape_text(case.body.outline), case.body.stokes_number
     if case.task == "motion":
         shape += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
@@ -74,24 +77,6 @@ def _span(plan: MotionPlan) -> str:
         periods = counted(end / plan.period, "Jeffery period")
         text += f" ({periods} of {quantity(plan.period)})"
     return f"{text}, {len(plan.times)} samples"
-
-
-def flow_text(loaded: LoadedCase) -> str:
-    """The flow's name, its keys with their values, given or not, and its degree."""
-    from qbxstokes.flows import REGISTRY
-
-    assert loaded.case.flow is not None
-    given = loaded.case.flow.spec()
-    name = given.pop("type")
-    defaults = {key: value for key, value in REGISTRY[name].keys().items() if _stated(value)}
-    parts = [name, *(f"{key} {_short(value)}" for key, value in {**defaults, **given}.items())]
-    degree = loaded.flow.degree
-    return ", ".join(parts) + ("" if degree is None else f"; polynomial of degree {degree}")
-
-
-def _stated(default: Any) -> bool:
-    """Whether a key has a default that says something."""
-    return default is not None and default is not inspect.Parameter.empty
 
 
 def _driven(case: Case) -> Rows:
@@ -135,24 +120,17 @@ def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
         facts |= {"points": plan.points}
     if isinstance(plan, MotionPlan):
         facts |= {
-            "hydrodynamics": plan.simulation.kind,
             "end": float(plan.times[-1]),
             "samples": len(plan.times),
-            "jeffery_period": plan.period,
             "bytes_on_disk": plan.bytes_on_disk,
         }
+        if not isinstance(plan, CoupledPlan):
+            facts |= {"hydrodynamics": plan.simulation.kind, "jeffery_period": plan.period}
     return facts
 
 
-def takes_text(seconds: float | None) -> str:
-    """How long a run will take, where that is told."""
-    if seconds is None:
-        return ""
-    return section("Takes", [("", f"{_TAKES} {duration(seconds)}")]) + "\n"
-
-
-def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
-    """What the task needs, what it skips, and where the result goes."""
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:
+    """What the task needs, what it skips, where the result goes, how long it takes if known."""
     writes = "", str(target)
     if isinstance(plan, MotionPlan):
         writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
@@ -161,10 +139,10 @@ def plan_text(loaded: LoadedCase, plan: Plan, target: Path) -> str:
         "Needs": listed(plan.needs),
         "Skips": listed(plan.skips),
         "Writes": [writes],
+        "Takes": [] if seconds is None else [("", f"{_TAKES} {duration(seconds)}")],
     }
-    return (
-        render(f"Plan: {loaded.case.title or loaded.case.task}", str(loaded.path), sections) + "\n"
-    )
+    title = f"Plan: {loaded.case.title or loaded.case.task}"
+    return render(title, str(loaded.path), sections) + "\n"
 
 
 def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
@@ -174,12 +152,18 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     spent = spent_text(times)
     if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
+    if loaded.case.coupled:
+        found = coupled_report.sections(summary)
+    else:
+        found = {
+            "Solved": _field_solved(summary) if of_field else _solved(summary),
+            "Found": _found(summary),
+            "Errors": _errors(summary),
+        }
     sections: dict[str, Rows] = {
         "Scene": scene(loaded, plan),
-        "Solved": _field_solved(summary) if of_field else _solved(summary),
-        "Found": _found(summary),
+        **found,
         "Skipped": () if of_field else listed(plan.skips),
-        "Errors": _errors(summary),
         "Times": [("total", duration(times["total"])), ("parts", spent)],
         "Result": files(loaded, summary),
     }
@@ -375,17 +359,3 @@ def _seen(summary: dict[str, Any]) -> Rows:
         yield "steady", f"from t = {quantity(found['steady_at'])} on"
     if "ended_by" in found:
         yield "ended", f"at t = {quantity(summary['end'])}: {found['ended_because']}"
-
-
-def _short(value: Any) -> str:
-    text = _text(value)
-    return text if len(text) <= 48 else text[:45] + "..."
-
-
-def _text(value: Any) -> str:
-    """A value as in a case file, numbers alike whether or not they were written with a point."""
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_text, value))}]"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key}: {_text(entry)}' for key, entry in value.items())}}}"
-    return quantity(value) if isinstance(value, float) else str(value)

@@ -38,11 +38,8 @@ def sweep_command(job: Job) -> int:
     """Carry out a case with a section `sweep`; returns the exit status."""
     comm, loaded, options = job.comm, job.loaded, job.options
     job.start()
-    if options.dry_run or options.explain:
-        facts = on_root(comm, lambda: _dry_run(loaded, comm.size))
-        job.tell(facts, lambda: str(facts["text"]))
-        if options.dry_run:
-            return 0
+    if job.tells_plan(lambda: _dry_run(loaded, comm.size)):
+        return 0
     summary = run_sweep(job)
 
     def text() -> str:
@@ -63,7 +60,7 @@ def sweep_command(job: Job) -> int:
     return ConvergenceError.exit_status if summary["failed"] else 0
 
 
-def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
+def _dry_run(loaded: LoadedCase, ranks: int) -> tuple[dict[str, Any], str]:
     """What would run, as data and as text."""
     from qbxstokes.runs.cost import estimate
     from qbxstokes.runs.sweep_report import plan_text
@@ -71,7 +68,8 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
     scenes = swept_scenes(loaded)
     blocks, layout = scenes.blocks, layout_of(scenes)
     cost = estimate(scenes, layout.row_bytes)
-    return {
+    text = plan_text(scenes, layout, cost, result_path(loaded), ranks)
+    facts = {
         "trajectories": scenes.space.size,
         "shape": scenes.space.shape,
         "scenes": scenes.size,
@@ -81,8 +79,9 @@ def _dry_run(loaded: LoadedCase, ranks: int) -> dict[str, Any]:
         "memory_per_rank": cost.memory,
         "skips": list(scenes.skips),
         "seconds": {str(p): cost.seconds(p) for p in sorted({1, ranks, 1000, 10_000})},
-        "text": plan_text(scenes, layout, cost, result_path(loaded), ranks),
+        "text": text,
     }
+    return facts, text
 
 
 def run_sweep(job: Job) -> dict[str, Any]:

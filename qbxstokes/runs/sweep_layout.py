@@ -16,28 +16,23 @@ from qbxstokes.io.sweep import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
 from qbxstokes.runs.coupled_sweep import CoupledScenes
 from qbxstokes.runs.plan import plan_body
-from qbxstokes.runs.scenes import Block, Scenes
+from qbxstokes.runs.scenes import Alone, Scenes
 
 Array = NDArray[Any]
 
 _COORDINATE_PIECE = 65_536
 
 
-class BodyScenes:
-    """All bodies of a sweep, each computed alone: what `Scenes` says of motions, of them."""
+class BodyScenes(Alone):
+    """All bodies of a sweep."""
 
     nouns = "body", "bodies"
-    alone, block_size, samples = True, 1, 0
-    common_times: None = None
-    quantities: tuple[str, ...] = ()
 
     def __init__(self, loaded: LoadedCase) -> None:
-        assert loaded.space is not None
+        super().__init__(loaded)
         assert loaded.case.sweep is not None
-        self.loaded, self.space = loaded, loaded.space
         measure = loaded.case.sweep.measure
         self.turns = 1 if measure is None else 1 + measure.repeats
-        self.size = self.blocks = self.space.size
         # Without a flow a body neither moves nor has to be held.
         moving = loaded.case.flow is not None
         self.columns = {
@@ -45,19 +40,7 @@ class BodyScenes:
             for name, about in BODY_COLUMNS.items()
             if moving or not name.startswith(("free_", "held_"))
         }
-
-    def block(self, number: int) -> Block:
-        """A block by its number."""
-        return Block(number, ((number, np.array([number])),))
-
-    def block_sizes(self) -> Array:
-        """Bodies per block."""
-        return np.ones(self.size, dtype=np.int64)
-
-    @property
-    def skips(self) -> tuple[str, ...]:
-        """What is left out and why, as far as the first body tells for all."""
-        return plan_body(self.loaded).skips
+        self.skips = plan_body(loaded).skips
 
 
 Swept = Scenes | BodyScenes | CoupledScenes
