@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
+from qbxstokes import folders
+from qbxstokes.folders import default_folder
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io import cache as cache_module
-from qbxstokes.io.cache import Cache, default_folder
+from qbxstokes.io.cache import Cache
 from qbxstokes.io.store import read_part, write_part
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.stresses import form_stresslet
@@ -176,6 +178,30 @@ def test_folder_of_the_user(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert default_folder() == tmp_path / ".cache" / "qbxstokes"
+
+
+def test_compiled_functions_go_where_something_can_be_written(monkeypatch, tmp_path):
+    """Beside the sources, else below the program's own folder, else nowhere, and it is said."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("QBXSTOKES_CACHE", str(tmp_path / "own"))
+    sources = Path(folders.__file__).parent
+    writable = folders.unwritable
+
+    def locked(folder):  # the tests may be run by root, to whom all is open
+        return f"{folder}: locked" if folder.is_relative_to(sources) else writable(folder)
+
+    monkeypatch.setattr(folders, "unwritable", locked)
+    own = tmp_path / "own" / "compiled"
+    assert folders.folder_of_compiled() == (own, "")
+    own.chmod(0o777)
+    assert "written by, others" in folders.folder_of_compiled()[1]
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("QBXSTOKES_CACHE", str(tmp_path / "file"))
+    folder, told = folders.folder_of_compiled()
+    assert folder is None
+    assert "cannot be written" in told
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
+    assert folders.folder_of_compiled() == (tmp_path / "numba", "")
 
 
 def test_a_warm_start_takes_milliseconds(tmp_path):

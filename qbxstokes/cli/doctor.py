@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from qbxstokes import __version__
-from qbxstokes.io.cache import default_folder
+from qbxstokes.folders import default_folder, folder_of_compiled, unwritable
 from qbxstokes.runs.report import WIDTH, counted, size
 
 
@@ -44,6 +44,7 @@ def examine() -> list[Finding]:
         _writable("working directory", os.getcwd()),
         _writable("temporary files", tempfile.gettempdir()),
         _cache(),
+        _compiled(),
     ]
     return findings
 
@@ -128,14 +129,23 @@ def _writable(name: str, folder: str) -> Finding:
     return Finding(name, True, f"{folder}: writable, {free:.1f} GiB free")
 
 
+def _compiled() -> Finding:
+    folder, told = folder_of_compiled()
+    if folder is not None:
+        return Finding("compiled", True, f"{folder}: compiled functions are kept there")
+    advice = "they are compiled anew in each run; name a folder of your own in QBXSTOKES_CACHE"
+    if "NUMBA_CACHE_DIR" in os.environ:
+        advice = advice.replace("QBXSTOKES_CACHE", "NUMBA_CACHE_DIR, or unset it")
+    return Finding("compiled", False, told, advice)
+
+
 def _cache() -> Finding:
     folder = default_folder()
     if folder is None:
         return Finding("cache", True, "off (QBXSTOKES_CACHE is empty)")
-    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
-    if not os.access(there, os.W_OK | os.X_OK):
-        advice = "nothing is kept between runs; name a folder in QBXSTOKES_CACHE"
-        return Finding("cache", False, f"{folder}: cannot write", advice)
+    if told := unwritable(folder):
+        advice = "nothing is kept between runs; name another folder in QBXSTOKES_CACHE"
+        return Finding("cache", False, told, advice)
     files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
     held = sum(file.stat().st_size for file in files)
     return Finding(

@@ -14,7 +14,6 @@ import hashlib
 import json
 import os
 import stat
-import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -23,37 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.folders import default_folder
 from qbxstokes.io.store import DamagedPart, read_part, write_part
 
 Arrays = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 2
-ENVIRONMENT = "QBXSTOKES_CACHE"
 # Packages whose sources determine the arrays.
 _NUMERICAL = ("geometry", "qbx", "bie")
 _KEY = "key"
-
-
-def default_folder() -> Path | None:
-    """The user's cache folder; QBXSTOKES_CACHE names another, or none if it is empty.
-
-    XDG Base Directory Specification on Unix, ~/Library/Caches on macOS, LOCALAPPDATA on Windows.
-    """
-    named = os.environ.get(ENVIRONMENT)
-    if named is not None:
-        return Path(named).expanduser() if named else None
-    try:
-        home = Path.home()
-    except RuntimeError:
-        return None
-    if sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    else:
-        named = os.environ.get("XDG_CACHE_HOME", "")
-        # The specification has relative paths ignored.
-        base = Path(named) if os.path.isabs(named) else home / ".cache"
-    return base / "qbxstokes"
 
 
 @cache

@@ -19,6 +19,7 @@ from typing import Any
 
 import numba
 
+from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion import loops, taylor
 
 # What the loops take from the class of the law.
@@ -74,5 +75,6 @@ def compiled_loops(kernels: ModuleType, degree: int, massless: bool) -> Loops:
 
     for name, function in plain.items():
         namespace[name] = compiled(name, function, forceinline=True)
-    by_name = {name: compiled(name, loop, cache=True) for name, loop in outer.items()}
+    kept = compiled_are_kept()
+    by_name = {name: compiled(name, loop, cache=kept) for name, loop in outer.items()}
     return Loops(by_name, version)

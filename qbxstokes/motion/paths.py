@@ -22,6 +22,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion import random_turns
 from qbxstokes.motion.path_statistics import (
     LANES,
@@ -34,7 +35,7 @@ from qbxstokes.motion.path_statistics import (
     note,
 )
 
-compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+compiled = numba.njit(cache=compiled_are_kept(), error_model="numpy", fastmath={"contract"})
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
 
 philox = inner(random_turns.philox)

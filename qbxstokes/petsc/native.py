@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion.compiled import compiled_loops
 from qbxstokes.motion.layout import Layout
 from qbxstokes.motion.loops import BlockConstants
@@ -134,7 +135,7 @@ def _compiled(
     kind = "".join(f"{flag:d}" for flag in (flows, bodies, loaded, inertial, following, still))
     law = kernels.__name__.rpartition(".")[2]
     copy.__qualname__ = f"rate_{law}_{degree}_{sizes[0]}_{kind}_{loops.version}"
-    return numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(copy)
+    return numba.cfunc(_SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(copy)
 
 
 @cache

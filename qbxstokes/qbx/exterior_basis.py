@@ -11,10 +11,11 @@ import math
 import numpy as np
 from numba import njit
 
+from qbxstokes.folders import compiled_are_kept
 from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def tabulate(  # type: ignore[no-untyped-def]
     points, k, degree, orders, inverse_ratio, rise, fall, diagonal, second, table
 ):
@@ -99,7 +100,7 @@ def tabulate(  # type: ignore[no-untyped-def]
             start *= k * k / alpha2
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True)
 def velocities(points, table, c, velocity):  # type: ignore[no-untyped-def]
     """Fill the velocities (P, 3) of the flow u_i = E B_i + d_i E (C - x . B), summed over E.
 
@@ -117,7 +118,7 @@ def velocities(points, table, c, velocity):  # type: ignore[no-untyped-def]
         velocity[i, 0], velocity[i, 1], velocity[i, 2] = u, v, w
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True)
 def mirrored(points, table, c, normal, found):  # type: ignore[no-untyped-def]
     """Fill (P, 10): u, grad(u . N), grad p and p of the flow, of the same table and c.
 

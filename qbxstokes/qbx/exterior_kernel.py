@@ -20,12 +20,14 @@ import math
 import numpy as np
 from numba import njit
 
+from qbxstokes.folders import compiled_are_kept
+
 # Forward recurrence loses this factor at most before the continued fraction takes over.
 _FORWARD_LOSS = 50.0
 _LOG_PRECISION = 40.0
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def confocal(rho2, z, e2):  # type: ignore[no-untyped-def]
     """alpha^2, gamma and Delta = gamma^2 - e2 eta^2 of a point, without cancellation."""
     s = rho2 + z * z - e2
@@ -39,7 +41,7 @@ def confocal(rho2, z, e2):  # type: ignore[no-untyped-def]
     return gamma2 - e2, math.sqrt(gamma2), delta
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def logarithm(gamma, alpha, e2):  # type: ignore[no-untyped-def]
     """Q_0: atanh(f / gamma) / f for prolate, arctan(f / gamma) / f for oblate bodies."""
     f = math.sqrt(abs(e2))
@@ -48,7 +50,7 @@ def logarithm(gamma, alpha, e2):  # type: ignore[no-untyped-def]
     return math.atan2(f, gamma) / f
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def ratios(m, degree, gamma, alpha, e2, first, out):  # type: ignore[no-untyped-def]
     """out[n] = Q_n^(m) / Q_{n-1}^(m) for n = m..degree; out[0] = Q_0 for m = 0.
 
@@ -74,7 +76,7 @@ def ratios(m, degree, gamma, alpha, e2, first, out):  # type: ignore[no-untyped-
             out[n] = r
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untyped-def]
     """`ratios` for the orders m = 0..orders - 1, into out (orders, degree + 1)."""
     forward = False
@@ -89,7 +91,7 @@ def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untype
             first = out[m, m] * ((2 * m + 1) - gamma * out[m, m + 1]) / max(2 * m, 1)
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-untyped-def]
     """Second derivatives of gamma and of eta, xx, yy, zz, xy, xz, yz each, from the first g and h.
 
@@ -116,7 +118,7 @@ def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-un
     )
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def evaluate(  # type: ignore[no-untyped-def]
     points,
     k,

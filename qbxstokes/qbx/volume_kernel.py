@@ -33,11 +33,13 @@ import math
 import numpy as np
 from numba import njit
 
+from qbxstokes.folders import compiled_are_kept
+
 # Where |X|^(p - 2) is below this many digits, an expansion of order p is the plain kernel.
 _DIGITS = 17.0
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def gegenbauer(order, a2, b, sums):  # type: ignore[no-untyped-def]
     """Sums for |X|^2 = a2 and X.Y = b, each from its highest degree down: S, 2 T1, 3 T2, 4 T3.
 
@@ -64,7 +66,7 @@ def gegenbauer(order, a2, b, sums):  # type: ignore[no-untyped-def]
         factor *= 2 * h + 1
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def polar_interpolation(theta, grid_theta, barycentric, cosine, even, odd):  # type: ignore[no-untyped-def]
     """Barycentric weights at theta for components even and odd across the pole."""
     n = grid_theta.size
@@ -88,7 +90,7 @@ def polar_interpolation(theta, grid_theta, barycentric, cosine, even, odd):  # t
         odd[j] = even[j] * (math.sin(theta) / math.sin(grid_theta[j])) if cosine else even[j]
 
 
-@njit(cache=True)
+@njit(cache=compiled_are_kept())
 def potentials(  # type: ignore[no-untyped-def]
     foot,
     offset,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from qbxstokes import folders
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.parallel import guarded, missing_message, on_root, say, world
@@ -207,7 +208,7 @@ def carry_out(job: Job) -> int:
         job.tell(summary, lambda: f"{summary['result']}: finished already, nothing to resume")
         return 0
     if job.comm.rank == 0:
-        for problem in summary.get("cache_problems", ()):
+        for problem in (*summary.get("cache_problems", ()), *folders.problems):
             print(f"qbxstokes: cache: {problem}", file=sys.stderr)
         job.conclude(summary, lambda: summary_text(loaded, job.plan, summary))
         for remark in remarks(loaded, summary):
