@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import h5py
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 import qbxstokes as qs
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.reference.jeffery import axis_at
+from qbxstokes.runs import target
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -185,3 +187,32 @@ def test_a_narrow_pulse_is_seen_with_a_longest_step() -> None:
     assert np.abs(motion.axis[-1] - axis_at(strain, 0.2, AXIS)).max() < 1e-7
     with pytest.raises(FlowError, match="longest_step"):
         qs.flow("linear", gradient=gradient, longest_step=0.0)
+
+
+@pytest.mark.parametrize("k", [0.03, 0.12, 20.0])
+def test_what_a_law_leaves_over_many_turns_is_told(k: float) -> None:
+    end = 10.0 * 2.0 * np.pi * (k + 1.0 / k)
+    found = qs.Body(k, tolerance=1e-7).integrate(
+        qs.flow("shear"), [end], orientation=AXIS, tolerance=1e-9
+    )
+    error = float(np.linalg.norm(found.axis[-1] - AXIS))
+    told = found.summary["expected_error"]
+    assert error / 3.0 < told["total"] < 100.0 * max(error, 1e-9)
+    assert told["total"] == sum(value for name, value in told.items() if name != "total")
+
+
+def test_large_files_count_by_their_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(target, "_LARGE", 1000)
+    monkeypatch.setattr(target, "_END", 100)
+    path = tmp_path / "a.npy"
+    seen = set()
+    for size, place in ((900, 450), (2000, None), (2000, 0), (2000, 1999), (2100, None)):
+        content = bytearray(size)
+        if place is not None:
+            content[place] = 1
+        path.write_bytes(content)
+        os.utime(path, ns=(10**18, 10**18))
+        seen.add(target.fingerprint(path))
+    os.utime(path, ns=(2 * 10**18, 2 * 10**18))
+    seen.add(target.fingerprint(path))
+    assert len(seen) == 6

@@ -274,6 +274,18 @@ def test_what_was_stopped_goes_on_to_the_same_bits(
     assert run_cli("case.yaml", "--quiet", "--resume").returncode == 0
 
 
+@pytest.mark.mpi
+def test_ranks_leave_the_bits_alone(tmp_path: Path, mpirun: Run) -> None:
+    (tmp_path / "case.yaml").write_text(json.dumps(CASE))
+    for ranks in (1, 2, 3):
+        options = ("--quiet", "--set", f"output.file={ranks}.h5")
+        assert mpirun(ranks, "case.yaml", *options).returncode == 0
+    one, *others = (qs.load(tmp_path / f"{ranks}.h5") for ranks in (1, 2, 3))
+    for other in others:
+        for name in one.names:
+            assert np.array_equal(one[name], other[name], equal_nan=True), name
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -372,9 +372,9 @@ def summarise(
     assert run.checkpoint is not None
     table["steps"][rows] = run.checkpoint.steps
     table["rhs_evaluations"][rows] = run.checkpoint.evaluations
-    estimates = assembled.error_estimates(float(times[-1]))
-    for lanes, scene, estimate in zip(assembled.slices(), assembled.parts, estimates, strict=True):
-        table["error_estimate"][rows[lanes]] = estimate
+    expected = assembled.expected_errors(float(times[-1]), run.checkpoint.reachable)
+    for lanes, scene, error in zip(assembled.slices(), assembled.parts, expected, strict=True):
+        table["error_estimate"][rows[lanes]] = error["total"]
         table["jeffery_period"][rows[lanes]] = np.nan if scene.period is None else scene.period
 
 

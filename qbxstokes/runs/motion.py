@@ -155,6 +155,9 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
             **({"resistance": vars(resistance)} if resistance else {}),
             "relaxation_times": relaxation_times(assembled.equations),
             "events": events_summary(events),
+            "expected_error": assembled.expected_errors(
+                trajectory.reached, trajectory.checkpoint.reachable
+            )[0],
         }
 
     def conclude(summary: dict[str, Any], samples: Mapping[str, Any], writer: ResultWriter) -> None:

@@ -93,6 +93,29 @@ def error_text(value: float) -> str:
     return f"{value:.1e}" if value else "0"
 
 
+def expected_text(expected: Mapping[str, float]) -> str:
+    """The error that the axis is expected to have at the end, and its parts."""
+    total, *parts = expected.items()
+    made = ", ".join(f"{name} {error_text(value)}" for name, value in parts)
+    return f"{error_text(total[1])} of the axis at the end: {made}"
+
+
+def out_of_reach(summary: Mapping[str, Any], tolerance: float) -> Iterable[str]:
+    """What keeps a motion from its tolerance."""
+    reachable = summary.get("integration", {}).get("reachable_error", 0.0)
+    if reachable > 3.0 * tolerance:
+        yield (
+            f"time.tolerance {tolerance:g} is out of reach: rounding alone leaves "
+            f"an error of about {reachable:.0e} at the end"
+        )
+    law = summary.get("expected_error", {}).get("law", 0.0)
+    if law > 10.0 * tolerance:
+        yield (
+            f"time.tolerance {tolerance:g} is missed: the error of the body's law comes to about "
+            f"{law:.0e} at the end"
+        )
+
+
 def counted(count: float, noun: str, plural: str = "") -> str:
     """'1 rank', '2 ranks', '0.5 periods'; the plural ends in s unless given."""
     number = str(count) if isinstance(count, int) else quantity(count)

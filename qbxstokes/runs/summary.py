@@ -20,9 +20,11 @@ from qbxstokes.runs.report import (
     counted,
     duration,
     error_text,
+    expected_text,
     flow_text,
     listed,
     near_edge,
+    out_of_reach,
     quantity,
     render,
     shape_text,
@@ -173,12 +175,8 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
 def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     """What standard error is told after a summary."""
     time, compared = loaded.case.time, loaded.case.compare.tolerance
-    reachable = summary.get("integration", {}).get("reachable_error", 0.0)
-    if time is not None and reachable > 3.0 * time.tolerance:
-        yield (
-            f"time.tolerance {time.tolerance:g} is out of reach: rounding alone leaves "
-            f"an error of about {reachable:.0e} at the end"
-        )
+    if time is not None:
+        yield from out_of_reach(summary, time.tolerance)
     found = summary.get("events", {})
     if "ended_by" in found:
         yield f"ended at t = {summary['end']:.6g}: {found['ended_because']}"
@@ -316,6 +314,8 @@ def _solved(summary: dict[str, Any]) -> Rows:
             f"none longer than {steps['longest_step']:.3g}, for flow or loads change in time; what "
             "changes within much less needs flow.longest_step",
         )
+    if "expected_error" in summary:
+        yield "expected error", expected_text(summary["expected_error"])
     if "changed" in steps:
         yield "", steps["changed"]
     if "field" in summary:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
@@ -26,6 +27,7 @@ from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.watch import build_events
 
 if TYPE_CHECKING:
+    from qbxstokes.bie.functional import BodyModel
     from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -38,6 +40,7 @@ _STEPS_IN_TIME = 50.0
 # Instants at which such a flow is checked before the run, and steps between checks within it.
 _INSTANTS_CHECKED = 11
 _STEPS_BETWEEN_CHECKS = 10
+_EPSILON = 2.0**-52
 # Steps of a single lane between cuts, where a run can be resumed: a fraction of a second of work
 # or some seconds, by how the free motion is found; and samples at most.
 CUT_STEPS = {"table": 5000, "grid": 500, "every_step": 100}
@@ -188,14 +191,22 @@ class Assembled:
         ]
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
-    def error_estimates(self, end: float) -> list[float]:
-        """Error to expect at the end, of each part: of the integration and of the body's model."""
+    def expected_errors(self, end: float, rounding: float = 0.0) -> list[dict[str, float]]:
+        """Error of the axis to expect at the end, of each part, and what it consists of.
+
+        integration: the tolerance; law: what the error of the body's law comes to, which shifts the
+        turns of the body in time; rounding: of all steps. In flows that carry bodies with slightly
+        different starts apart the motion may end further off.
+        """
         found = []
         for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
-            rate = float(np.linalg.norm(part.gradient))
-            ratio = formed.model.effective_ratio
-            slenderness = max(ratio, 1.0 / ratio)
-            found.append(self.tolerance + formed.model.error_estimate * rate * end * slenderness)
+            instants = [0.0] if part.flow.steady else np.linspace(0.0, end, _INSTANTS_CHECKED)
+            place = part.position[0]
+            rate = np.mean([np.linalg.norm(part.flow.gradient(place, float(t))) for t in instants])
+            linear = part.flow.degree is not None and part.flow.degree <= 1
+            law = float(rate) * end * _period_error(formed.model, linear)
+            parts = {"integration": self.tolerance, "law": law, "rounding": rounding}
+            found.append({"total": sum(parts.values()), **parts})
         return found
 
     def motion(self, times: ArrayLike) -> Motion:
@@ -275,6 +286,22 @@ def assemble(
         assemble, workshop=workshop, t=t, checked=True, pushed=pushed, evaluation=evaluation
     )
     return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
+
+
+def _period_error(model: BodyModel, linear: bool) -> float:
+    """Relative error of the periods of a body's motion, at most.
+
+    A period needs what a shear along the body leaves of its rotation, 1/2 - |lambda|/2, which is
+    small for thin and flat bodies. A spheroid's is known: k^2/(1 + k^2), or 1/(1 + k^2) if less.
+    """
+    ratio = model.effective_ratio
+    slenderness = max(ratio, 1.0 / ratio)
+    if linear and isinstance(model.shape, Spheroid):
+        square = min(ratio, 1.0 / ratio) ** 2
+        rest = square / (1.0 + square)
+        off = abs(abs(model.faxen.linear) + 2.0 * rest - 1.0)
+        return 0.5 * abs(model.faxen.rest / rest - 1.0) + off + _EPSILON
+    return model.error_estimate * slenderness
 
 
 def _check_stokesian(part: Simulation, place: Array, t: float) -> None:

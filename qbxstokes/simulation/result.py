@@ -75,6 +75,10 @@ class Motion:
                 events[name] = split_columns(rows, of_event(name))
         summary = {
             **integration_facts(trajectory),
+            "expected_error": max(
+                assembled.expected_errors(float(times[-1]), trajectory.checkpoint.reachable),
+                key=lambda error: error["total"],
+            ),
             "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),
             **({} if watch is None else {"events": events_summary(watch)}),
         }
