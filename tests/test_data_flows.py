@@ -122,6 +122,24 @@ def test_files_give_the_same_series(tmp_path: Path) -> None:
             flow.gradient([0.0, 0.0, 0.0], 4.5)
 
 
+def test_dimensions_with_names_and_units_of_time(tmp_path: Path) -> None:
+    a = cosines(7)
+    t = np.linspace(0.0, 4.0, 41)
+    samples = np.array([[a(s).ravel(), -a(s).ravel()] for s in t])  # type: ignore[operator]
+    with h5py.File(tmp_path / "a.nc", "w") as file:  # as netCDF-4 writes it
+        file["time"], file["A"] = t, samples
+        file["time"].make_scale("time")
+        file["A"].dims[0].attach_scale(file["time"])
+    named = qs.GradientSeries.from_file(tmp_path / "a.nc")
+    assert named.paths == (2,)
+    assert np.abs(named.read(1, 2)[0] - samples[:, 1]).max() < 1e-15
+    scaled = qs.GradientSeries.from_file(tmp_path / "a.nc", unit=0.5)
+    assert np.array_equal(scaled.times, 2.0 * t)
+    assert np.abs(scaled.path(1).read(0, 1)[0] - 0.5 * samples[:, 1]).max() < 1e-15
+    with pytest.raises(FlowError, match="unit"):
+        qs.GradientSeries.from_file(tmp_path / "a.nc", unit=-1.0)
+
+
 def test_the_trace_is_projected_and_told() -> None:
     samples = np.tile(np.diag([1.0, 0.0, 0.2]), (8, 1, 1))
     series = qs.GradientSeries(np.arange(8.0), samples)

@@ -187,22 +187,25 @@ class GradientSeries:
 
 
 def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
-    """The series of {file, dataset, time, layout, interpolation, trace, outside}.
+    """The series of {file, dataset, time, layout, unit, interpolation, trace, outside}.
 
     HDF5 and netCDF-4: datasets by name, gradients mapped as they come, `layout` the order of their
-    axes, [trajectory, time] or [time, trajectory] (that of one path needs none). CSV and NPY: rows
-    of t and eight or nine components, one path. With {process: gaussian, rate, correlation_time,
-    paths, end, spacing, seed} the paths are made at random (`random_gradients`). Raises FlowError.
+    axes, [trajectory, time] or [time, trajectory]; both follow from dimensions with names, and that
+    of one path needs none. CSV and NPY: rows of t and eight or nine components, one path. unit: the
+    flow's unit of time in that of the file, by which times are divided and gradients multiplied.
+    With {process: gaussian, rate, correlation_time, paths, end, spacing, seed} the paths are made
+    at random (`random_gradients`). Raises FlowError.
     """
     if "process" in given:
         return _of_process(given)
-    known = ["file", "dataset", "time", "layout", "interpolation", "trace", "outside"]
+    known = ["file", "dataset", "time", "layout", "unit", "interpolation", "trace", "outside"]
     check_keys(given, known, "linear")
-    rules = {name: given[name] for name in known[4:] if name in given}
+    rules = {name: given[name] for name in known[5:] if name in given}
+    unit = number(given.get("unit", 1.0), "unit", positive=True)
     path = Path(str(given.get("file", "")))
     if path.suffix in (".h5", ".hdf5", ".nc", ".nc4"):
         times, samples = _of_hdf5(path, given)
-        return GradientSeries(times, samples, **rules)
+        return GradientSeries(times / unit, samples.times(unit), **rules)
     try:
         numbers = read_table(path).numbers
     except TableError as error:
@@ -210,7 +213,7 @@ def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
     if numbers.shape[1] not in (9, 10):
         wrong = f"{path}: has {numbers.shape[1]} columns; t and 8 or 9 components are expected"
         raise FlowError(wrong, ("gradient", "file"))
-    return GradientSeries(numbers[:, 0], numbers[:, 1:], **rules)
+    return GradientSeries(numbers[:, 0] / unit, unit * numbers[:, 1:], **rules)
 
 
 def _of_process(given: Mapping[str, Any]) -> GradientSeries:
@@ -234,19 +237,32 @@ def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
     import h5py
 
     try:
-        file = h5py.File(path, "r")
-        data, times = file[given.get("dataset", "A")], file[given.get("time", "t")][:]
+        data = h5py.File(path, "r")[given.get("dataset", "A")]
+        scale, order = _of_dimensions(data)
+        times = scale if scale and "time" not in given else data.file[given.get("time", "t")]
+        times = np.asarray(times[:], dtype=np.float64)
     except (OSError, KeyError) as error:
         raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
-    layout = list(given.get("layout", ["trajectory", "time"]))
+    layout = list(given.get("layout", order))
     if sorted(layout) != ["time", "trajectory"]:
         right = "[trajectory, time] or [time, trajectory]"
         raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
     if data.shape[-2:] == (3, 3) and data.ndim > 2:  # small enough to hold, or by rows of nine
         data = data[...].reshape(*data.shape[:-2], 9)
     if data.ndim == 2:
-        return np.asarray(times, dtype=np.float64), data[...]
-    return np.asarray(times, dtype=np.float64), InFile(data, layout[0] == "time")
+        return times, InFile(data[...][None], False)
+    return times, InFile(data, layout[0] == "time")
+
+
+def _of_dimensions(data: Any) -> tuple[Any, list[str]]:
+    """Instants and order of the axes of a dataset by the names of its dimensions, if it has any."""
+    for place, dimension in enumerate(list(data.dims)[:2]):
+        scales = [scale for name, scale in dimension.items() if scale.ndim == 1]
+        names = [dimension.label, *(scale.name.rpartition("/")[2] for scale in scales)]
+        if any(name in ("t", "time") for name in names):
+            order = ["time", "trajectory"] if place == 0 else ["trajectory", "time"]
+            return (scales[0] if scales else None), order
+    return None, ["trajectory", "time"]
 
 
 def series_of_case(spec: Mapping[str, Any], folder: Path) -> GradientSeries:
@@ -294,12 +310,18 @@ class InFile:
         self._data, self._time_first = data, time_first
         n, m, width = data.shape
         self.shape = (m, n, width) if time_first else (n, m, width)
-        self.ndim, self.dtype = 3, data.dtype
+        self.ndim, self.dtype, self._factor = 3, data.dtype, 1.0
+
+    def times(self, factor: float) -> InFile:
+        """The same, times a number."""
+        found = InFile(self._data, self._time_first)
+        found._factor = self._factor * factor
+        return found
 
     def __getitem__(self, place: Any) -> Any:
         """By paths and instants."""
         paths, instants = place
         if not self._time_first:
-            return self._data[paths, instants]
-        part = self._data[instants, paths]
+            return self._factor * self._data[paths, instants]
+        part = self._factor * self._data[instants, paths]
         return np.swapaxes(part, 0, 1) if part.ndim == 3 else part
