@@ -131,6 +131,13 @@ def test_cases_say_what_they_are(name: str, run_cli: Run) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
+def test_series() -> None:
+    tables = small("series")
+    assert np.all(column(tables["series"], "error") < 1e-6)
+    assert np.all(column(tables["ensemble"], "us") > 0.0)
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_say_what_they_are(name: str) -> None:
     text = (FOLDER / f"{name}.py").read_text()

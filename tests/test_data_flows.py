@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import qbxstokes as qs
 from qbxstokes.errors import FlowError, SceneError
@@ -59,6 +60,32 @@ def test_functions_and_series_follow_jeffery(k: float) -> None:
     flow = qs.flow("linear", gradient=series)
     motion = body.integrate(flow, [8.0], orientation=AXIS, tolerance=1e-7)
     assert np.abs(motion.axis[-1] - exact).max() < 1e-6
+
+
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_a_gradient_that_turns_and_a_shear_that_oscillates(k: float) -> None:
+    """In the frame that turns with A it is constant; a harmonic shear retraces Jeffery's orbit."""
+    still, speed, end = np.array([[0.2, 1.0, 0.0], [-0.3, -0.5, 0.4], [0.0, 0.1, 0.3]]), 0.7, 6.0
+    cross = np.array([[0.0, -speed, 0.0], [speed, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+    def turned(t: float) -> NDArray[np.float64]:
+        turn = expm(cross * t)
+        return np.asarray(turn @ still @ turn.T)
+
+    shape = (1.0 - k * k) / (1.0 + k * k)
+    inside = 0.5 * (still - still.T) + 0.5 * shape * (still + still.T) - cross
+    exact = expm(cross * end) @ expm(inside * end) @ AXIS
+    body = qs.Body(k)
+    flow = qs.flow("linear", gradient=turned)
+    found = body.integrate(flow, [end], orientation=AXIS, tolerance=1e-8).axis[-1]
+    assert np.abs(found - exact / np.linalg.norm(exact)).max() < 1e-7
+    harmonic = [[0, "2*cos(1.5*t)", 0], [0, 0, 0], [0, 0, 0]]
+    flow = qs.flow("linear", gradient=harmonic)
+    found = body.integrate(flow, [end], orientation=AXIS, tolerance=1e-8).axis[-1]
+    shear = np.zeros((3, 3))
+    shear[0, 1] = 2.0 * np.sin(1.5 * end) / 1.5
+    exact = expm(0.5 * (shear - shear.T) + 0.5 * shape * (shear + shear.T)) @ AXIS
+    assert np.abs(found - exact / np.linalg.norm(exact)).max() < 1e-7
 
 
 def test_a_pulse_in_a_fluid_at_rest_is_not_stepped_over() -> None:
