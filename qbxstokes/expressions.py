@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -58,7 +59,9 @@ def expression_in_time(text: str, names: Mapping[str, Any] = _IN_TIME) -> Callab
     if len(text) > 400:
         raise ValueError("it is too long")
     try:
-        body = _checked(ast.parse(text.strip(), mode="eval").body, names)
+        with warnings.catch_warnings():  # Python's remarks on what is refused below
+            warnings.simplefilter("ignore")
+            body = _checked(ast.parse(text.strip(), mode="eval").body, names)
         function = ast.parse("lambda t: 0", mode="eval")
         function.body.body = body  # type: ignore[attr-defined]
         code = compile(ast.fix_missing_locations(function), "expression", "eval")

@@ -207,6 +207,23 @@ FILES: dict[str, bytes] = {
 }  # fmt: skip
 
 
+ODD: dict[str, dict[str, Any]] = {  # what random edits have found
+    "paths of a text": {"flow": "9", "sweep": {"axes": [{"flow.trajectory": "all"}]}},
+    "paths of a number": {"flow": 3.5, "sweep": {"axes": [{"flow.trajectory": "all"}]}},
+    "ragged curvature": {"flow": {"type": "paraboloid", "curvature": [[], 2]}},
+    "ragged rotation": {"flow": {"type": "shear", "rotation": [[1, 0], [0], 1]}},
+    "ragged quaternion": {"flow": {"type": "shear", "rotation": [[1, 0], 0, 0, 1]}},
+    "bodies of a number": {"task": "body", "bodies": 3.5},
+    "half a number": {"start": {"position": ["0.2_", "1x", 0]}},
+    "in the wall": {"surroundings": {"type": "wall"}, "time": {"end": 1}},
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_values_are_refused(name: str) -> None:
+    assert judge(json.dumps(GOOD | ODD[name])).refused
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_files_that_are_no_case(name: str) -> None:
     assert judge(FILES[name]).refused

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.errors import CaseError, ContactError
+from qbxstokes.errors import CaseError
 from qbxstokes.plots.motion import drawings
 
 WALL = {"type": "wall", "normal": [0, 0, 1]}
@@ -89,7 +89,7 @@ def test_faults_of_bodies_and_walls_are_told(change: dict[str, Any], told: str) 
 
 def test_bodies_that_touch_are_refused() -> None:
     bodies = [PAIR["bodies"][0], {**PAIR["bodies"][1], "start": {"position": [0.9, 0, 0]}}]
-    with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -0\.1"):
+    with pytest.raises(CaseError, match=r"bodies: bodies 1 and 2: the gap is -0\.1"):
         qs.run({**PAIR, "bodies": bodies})
 
 

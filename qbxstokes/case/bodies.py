@@ -140,9 +140,8 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     """The data of a coupled scene with its own defaults; raises Problem for what it cannot have."""
     data = dict(data)
     if data.get("bodies"):
-        if task == "body" and any(
-            b.get("stokes_number") for b in data["bodies"] if type(b) is dict
-        ):
+        bodies = data["bodies"] if isinstance(data["bodies"], list) else []
+        if task == "body" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
             raise Problem("hold a stokes_number", "none: nothing moves", ("bodies",))
         for name in ("body", "start"):
             if data.get(name):

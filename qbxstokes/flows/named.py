@@ -6,7 +6,7 @@ Directions are those of the space frame: the stream runs along e1 and varies alo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -133,7 +133,7 @@ class Paraboloid(PolynomialFlow):
 
     def __init__(self, curvature: Any = 1.0) -> None:
         """Raises FlowError unless curvature is one number or two."""
-        if np.ndim(curvature) == 0:
+        if not isinstance(curvature, Sequence | np.ndarray) or isinstance(curvature, str):
             pair = [number(curvature, "curvature")] * 2
         else:
             pair = tensor(curvature, "curvature", (2,)).tolist()

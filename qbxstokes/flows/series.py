@@ -267,8 +267,8 @@ def _of_dimensions(data: Any) -> tuple[Any, list[str]]:
 
 def series_of_case(spec: Mapping[str, Any], folder: Path) -> GradientSeries:
     """The series of the paths of a linear flow's specification; raises FlowError."""
-    given = spec.get("gradient")
-    if spec.get("type") != "linear" or not isinstance(given, Mapping):
+    given = spec.get("gradient") if isinstance(spec, Mapping) else None
+    if not isinstance(given, Mapping) or spec.get("type") != "linear":
         raise FlowError("has no paths; a linear flow with gradient: {file: ...} has", ("gradient",))
     check_keys({k: v for k, v in spec.items() if k != "type"}, ["gradient", "trajectory"], "linear")
     return series_of_file(resolve_paths(given, folder))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,7 +71,8 @@ def rotation_matrix(value: Any, name: str = "rotation") -> Array:
             raise FlowError(f"{name} axis must not be zero", (name, "axis"))
         half = 0.5 * number(value["angle"], f"{name} angle", key=(name, "angle"))
         value = np.concatenate([[np.cos(half)], np.sin(half) * axis / length])
-    if np.shape(value) == (4,):
+    rows = value if isinstance(value, Sequence | np.ndarray) else ()
+    if len(rows) == 4:
         quaternion = tensor(value, name, (4,))
         length = float(np.linalg.norm(quaternion))
         if length == 0.0:
@@ -80,8 +81,8 @@ def rotation_matrix(value: Any, name: str = "rotation") -> Array:
         cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
         turned: Array = np.eye(3) + 2.0 * (scalar * cross + cross @ cross)
         return turned
-    if np.shape(value) != (3, 3):
-        raise FlowError(f"{right}; got shape {np.shape(value)}", (name,))
+    if len(rows) != 3:
+        raise FlowError(right, (name,))
     matrix = tensor(value, name, (3, 3))
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-10 or np.linalg.det(matrix) < 0.0:
         raise FlowError(right, (name,))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
+from qbxstokes.errors import ContactError
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, Quantity, of_bodies, of_event
 from qbxstokes.runs.field_targets import targets_of
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
@@ -219,7 +220,11 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
     case = loaded.case
     with pointed(loaded):
         scene = coupled_of(loaded)
-        scene.check()
+        try:
+            scene.check()
+        except ContactError as error:
+            key = "bodies" if case.bodies else "start.position"
+            raise loaded.error(key, str(error), "a start at which nothing touches") from None
     nodes = scene.suspension.grids(scene.places, scene.flow)
     grids = ", ".join(map(str, nodes[:8])) + (" ..." if len(nodes) > 8 else "")
     needs = [f"grids that follow the gaps: {grids} polar nodes, twice as many azimuthal ones"]
