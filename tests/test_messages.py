@@ -46,6 +46,7 @@ CASE = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end"
             {"orientation": [1, 0, 0]},
             "orientation: belongs to start; write start: {orientation: ...}",
         ),
+        ({"flow": "swirl.py:velocity"}, "write flow: {type: user, function: swirl.py:velocity}"),
         ({"viscosity": 1}, "viscosity: belongs to units; write units: {viscosity: ...}"),
     ],
 )
@@ -53,6 +54,12 @@ def test_keys_in_the_wrong_place_are_told_theirs(change: dict[str, Any], told: s
     with pytest.raises(CaseError) as raised:
         case_of({**CASE, **change})
     assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("case", [None, 3, [CASE]])
+def test_what_is_no_case_is_told(case: Any) -> None:
+    with pytest.raises(CaseError, match="a dictionary of its keys, or the path of a case file"):
+        qs.run(case)
 
 
 BODY = qs.Body(0.5)

@@ -171,3 +171,26 @@ def test_command_draws_a_quantity(results: dict[str, Any], run_cli: Run, tmp_pat
     done = run_cli("plot", str(results["motion"].path), "--kind", "axis", "-o", tmp_path / "a.svg")
     assert done.returncode == 0
     assert (tmp_path / "a.svg").exists()
+
+
+def test_flow_in_space_and_at_several_instants(tmp_path: Path) -> None:
+    """Colours are |u| in space, on one scale; far from the body that of the flow alone."""
+    plane = {"extent": [-9, 9, -6, 6], "shape": [19, 13], "frame": "space"}
+    start = {"position": [0, 0.5, 0], "orientation": {"axis": [1, 1, 0]}}
+    time = {"end": 2, "samples": 5, "tolerance": 1e-6}
+    field = {"every": 2, "plane": plane, "vtk": False, "check": 0}
+    case = {**SHEAR, "start": start, "time": time, "field": field}
+    result = qs.run(case, file=tmp_path / "passing.h5")
+    assert {"velocity-field", "lab-field", "instants"} <= set(result.kinds)
+    sheet = result.plot("instants")
+    panels = [axes for axes in sheet.axes if axes.get_title(loc="left")]
+    assert [axes.get_title(loc="left") for axes in panels] == ["$t = 0$", "$t = 1$", "$t = 2$"]
+    meshes = [axes.collections[0] for axes in panels]
+    assert len({mesh.norm.vmax for mesh in meshes}) == 1
+    corners = [np.asarray(mesh.get_array()).reshape(13, 19)[0, 0] for mesh in meshes]
+    assert np.allclose(corners, 6.0, rtol=0.02)  # |x2|, and of the body what decays as 1/r^2
+    alone = result.plot("lab-field").axes[0].collections[0]
+    assert np.array_equal(alone.get_array(), meshes[-1].get_array())
+    moved = result.plot("velocity-field").axes[0].collections[0].get_array()
+    corner = np.asarray(moved).reshape(13, 19)[0, 0]
+    assert np.isclose(corner, 6.5, rtol=0.02)  # relative to the centre, at x2 = 1/2

@@ -35,7 +35,8 @@ options
 of a motion
 {motion}
 of a field
-  velocity-field, traction, error
+  velocity-field (relative to the body), lab-field (in space), traction, error;
+  instants: up to nine instants in one sheet
 of an ensemble
   distributions, means, correlation
 of a suspension

@@ -26,14 +26,26 @@ _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
 _SPACING, _SHORTEST = 0.12, 0.1
 # Median over largest traction below which colours are logarithmic, and their range then.
 _PEAKED, _RANGE = 0.12, 1e-2
+_SHEET = 9  # panels of a sheet of instants at most
+_SPEED = (
+    style.label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"),
+    style.label(r"speed $|\mathbf{u}|$ in space", "c/tau"),
+)
 
 
 def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
-    """Kind and drawing of each picture of the result's group `field`, at its last instant."""
+    """Kind and drawing of each picture of the result's group `field`, at its last instant.
+
+    Where it has several, `instants` shows the flow at up to nine of them.
+    """
     field = result.groups.get("field", {})
     found: dict[str, Callable[[], Figure]] = {}
     if "velocity" in field.get("plane", {}):
         found["velocity-field"] = partial(velocity_figure, result)
+        if np.any(_state(result, -1, "velocity")):  # else it is the same
+            found["lab-field"] = partial(velocity_figure, result, lab=True)
+        if len(field["time"]) > 1:
+            found["instants"] = partial(instants_figure, result)
     if "surface" in field:
         found["traction"] = partial(traction_figure, result)
     if "error" in field:
@@ -54,32 +66,90 @@ def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
     return written
 
 
-def velocity_figure(result: ResultLike, step: int = -1) -> Figure:
-    """Speed in the plane, and streamlines of the velocity relative to the body's centre."""
+def velocity_figure(result: ResultLike, step: int = -1, lab: bool = False) -> Figure:
+    """Speed in the plane, and streamlines: of the velocity relative to the body's centre, or of
+    that in space (`lab`)."""
     plane = result.groups["field"]["plane"]
+    figure, axes = _plane_axes(plane)
+    mesh = _velocity(axes, result, step, *_relative(result, step, lab))
+    _bar(figure, axes, mesh, _SPEED[lab])
+    return figure
+
+
+def instants_figure(result: ResultLike) -> Figure:
+    """The flow in space at several instants, from the first to the last, with one scale."""
+    from matplotlib.colors import Normalize
+
+    field = result.groups["field"]
+    count = len(field["time"])
+    steps = np.unique(np.linspace(0, count - 1, min(count, _SHEET)).round().astype(int))
+    columns = min(len(steps), 2 if len(steps) == 4 else 3)
+    rows = -(-len(steps) // columns)
+    plane = field["plane"]
     a, b = plane["first_coordinate"], plane["second_coordinate"]
-    velocity = plane["velocity"][step] - _state(result, step, "velocity")
+    height = 0.8 * style.PAGE / columns * (b[-1] - b[0]) / (a[-1] - a[0]) + 0.65
+    figure = style.new_figure(style.PAGE, min(rows * height, style.TALL))
+    panels = np.ravel(figure.subplots(rows, columns, sharex=True, sharey=True))
+    flows = [_relative(result, int(step), lab=True) for step in steps]
+    norm = Normalize(0.0, max(float(speed.max()) for _, speed in flows) or 1.0)
+    for axes, step, flow in zip(panels, steps, flows, strict=False):
+        axes.set_aspect("equal")
+        mesh = _velocity(axes, result, int(step), *flow, norm=norm, density=0.7)
+        axes.set_title(f"$t = {field['time'][step]:.4g}$", loc="left", pad=4)
+    for axes in panels[len(steps) :]:
+        axes.set_visible(False)
+    for place, axes in enumerate(panels[: len(steps)]):
+        if place + columns >= len(steps):
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel(style.label(_name(plane, "first"), "c"))
+        if place % columns == 0:
+            axes.set_ylabel(style.label(_name(plane, "second"), "c"))
+    style.letter_panels(list(panels[: len(steps)]))
+    colours = figure.colorbar(mesh, ax=list(panels), fraction=0.04, pad=0.02)
+    colours.set_label(_SPEED[True])
+    return figure
+
+
+def _relative(result: ResultLike, step: int, lab: bool) -> tuple[Array, Array]:
+    """Velocity (2, second, first) in the plane, NaN in the body, and speed (second, first)."""
+    plane = result.groups["field"]["plane"]
+    centre = _state(result, step, "velocity")
+    velocity = plane["velocity"][step] - (0.0 if lab else centre)
     shape = tuple(plane["shape"])
     directions = _directions(result, plane, step)
-    along = [(velocity @ direction).reshape(shape).T for direction in directions]
+    along = np.stack([(velocity @ direction).reshape(shape).T for direction in directions])
     # Inside the body its own motion, so that colours reach the outline; the body covers it.
     arms = plane["points"][step] - _state(result, step, "position")
-    rigid = np.cross(_state(result, step, "angular_velocity"), arms)
+    rigid = np.cross(_state(result, step, "angular_velocity"), arms) + (centre if lab else 0.0)
     filled = np.where(np.isnan(velocity), rigid, velocity)
-    speed = np.linalg.norm(filled, axis=-1).reshape(shape).T
-    figure, axes = _plane_axes(plane)
-    mesh = axes.pcolormesh(a, b, speed, shading="gouraud", cmap=style.SEQUENTIAL, rasterized=True)
+    return along, np.linalg.norm(filled, axis=-1).reshape(shape).T
+
+
+def _velocity(
+    axes: Axes,
+    result: ResultLike,
+    step: int,
+    along: Array,
+    speed: Array,
+    norm: Any = None,
+    density: float = 1.3,
+) -> Any:
+    """Draw speed, streamlines and the body; returns what has the colours."""
+    plane = result.groups["field"]["plane"]
+    a, b = plane["first_coordinate"], plane["second_coordinate"]
+    mesh = axes.pcolormesh(
+        a, b, speed, norm=norm, shading="gouraud", cmap=style.SEQUENTIAL, rasterized=True
+    )
     u, v = (np.ma.masked_invalid(part) for part in along)
     if np.ma.maximum(np.abs(u).max(), np.abs(v).max()) > 0.0:
         lines = axes.streamplot(
-            a, b, u, v, color="white", linewidth=0.5, density=1.3, arrowsize=0.6
+            a, b, u, v, color="white", linewidth=0.5, density=density, arrowsize=0.6
         )
         lines.lines.set_capstyle("round")
         axes.set_xlim(a[0], a[-1])
         axes.set_ylim(b[0], b[-1])
     _body_section(axes, result, plane, a, b, step)
-    _bar(figure, axes, mesh, style.label(r"speed $|\mathbf{u} - \mathbf{V}|$", "c/tau"))
-    return figure
+    return mesh
 
 
 def traction_figure(result: ResultLike, step: int = -1) -> Figure:

@@ -88,6 +88,7 @@ _SETTINGS: dict[str, Any] = {
     "axes.formatter.limits": (-3, 4),
     "axes.formatter.useoffset": False,
     "axes.formatter.use_mathtext": True,
+    "axes.titley": 1.0,  # else looked for at every layout
     "axes.xmargin": 0.02,
     "axes.grid": False,
     "grid.linewidth": 0.4,
@@ -300,6 +301,7 @@ def _lay_out(figure: Figure) -> None:
     left: dict[float, list[Axes]] = {}
     for axes in figure.axes:
         if axes.get_ylabel() and axes.yaxis.label_position == "left":
+            axes.apply_aspect()
             axes.yaxis.get_tightbbox(renderer)  # puts the label where the ticks leave off
             left.setdefault(round(axes.get_position().x0, 6), []).append(axes)
     for column in left.values():

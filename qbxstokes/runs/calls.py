@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.case.document import document_of, given, parse, read_text
 from qbxstokes.case.load import LoadedCase, checked
-from qbxstokes.errors import ConvergenceError
+from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.io.results import Result, load
 from qbxstokes.io.store import free_name
 from qbxstokes.runs.command import compute_case
@@ -72,6 +72,9 @@ def _computed(
     """The result of a case with `more` keys."""
     from qbxstokes.runs.parallel import on_root, world
 
+    if not isinstance(case, (Mapping, str, Path)):
+        right = "a dictionary of its keys, or the path of a case file"
+        raise CaseError(f"{_NAME}: is {case!r}; {right}, is expected")
     path = Path(f"{_NAME}.yaml") if isinstance(case, Mapping) else Path(case)
     keys = given({**(case if isinstance(case, Mapping) else {}), **more}, _NAME)  # by all ranks
 
