@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_bodies import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
+    from qbxstokes.simulation.over_wall import OverWall as OverWall
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
@@ -52,6 +53,7 @@ _PUBLIC = {
     "Motion": "qbxstokes.simulation.result",
     "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
+    "OverWall": "qbxstokes.simulation.over_wall",
     "Suspension": "qbxstokes.simulation.suspension",
     "Wall": "qbxstokes.simulation.wall",
     "build_flow": "qbxstokes.flows",

@@ -49,6 +49,12 @@ def test_the_graded_scheme_is_no_worse_and_iterations_are_few() -> None:
         assert row["preconditioned"] == 1 < row["plain"] < 30
 
 
+@pytest.mark.slow
+def test_bodies_meet_their_bars() -> None:
+    for name, rows in small("bodies").items():
+        assert name == "speed" or all(row["met"] for row in rows), name
+
+
 def test_setup() -> None:
     axes = {"body.aspect_ratio": [0.1, 2.0], "hydrodynamics.tolerance": [1e-4, 1e-10]}
     table = qs.sweep(

@@ -42,10 +42,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Coefficients = Sequence[ComplexArray]
 
-# Measured error of the resistance, relative to its largest entry, with n polar nodes: FACTOR
-# exp(-2 a n) with the rate a of the gap, and FACTOR from 1 to 2000. Discs edge to edge fall slower,
-# by exp(-SLOW a) a node.
-FACTOR, SLOW = 100.0, 1.3
+# Measured error with n polar nodes: C exp(-2 a n) with the rate a of the gap, see `factor`. Discs
+# edge to edge fall slower, by exp(-SLOW a) a node.
+FACTOR, SLOW = 400.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
 # Polar nodes that the grids of an error estimate have less, and the relative error, in tolerances
 # of the problem, that both solutions may have in common.
@@ -127,16 +126,27 @@ def _pair(body: Placed, other: Placed) -> gaps.Gap:
     )
 
 
+def factor(k: float, free: bool, wall: bool) -> float:
+    """C of a body's error, relative: of velocities of free bodies, else of the resistance.
+
+    Measured up to: resistance 300, 1900 (k = 1, 2); free by a wall 8, 45, 340 (k = 1/2, 1, 2),
+    among others 0.04, 0.5, 16.
+    """
+    if not free:
+        return FACTOR * k * k
+    return 40.0 * max(k, k**3) if wall else 2.0 * max(k, k**4)
+
+
 def least_rate(tolerance: float) -> float:
     """The rate of decay of a gap below which MOST_NODES do not serve a relative error."""
     return math.log(FACTOR / tolerance) / (2.0 * (MOST_NODES - 1))
 
 
-def nodes_for(rate: float, tolerance: float) -> int:
+def nodes_for(rate: float, tolerance: float, factor: float = FACTOR) -> int:
     """Polar nodes for the rate of decay of a gap (see `gaps.Gap`) and a relative error."""
     if rate == np.inf:
         return LEAST_NODES
-    wanted = math.log(FACTOR / tolerance) / (2.0 * max(rate, 1e-6))
+    wanted = math.log(factor / tolerance) / (2.0 * max(rate, 1e-6))
     # Even numbers, so that few different maps are formed.
     return max(LEAST_NODES, 2 * math.ceil(0.5 * wanted + 0.5))
 
@@ -353,13 +363,21 @@ def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
 
 
 def choose_nodes(
-    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, clipped: bool = False
+    bodies: Sequence[Placed],
+    wall: Plane | None,
+    tolerance: float,
+    clipped: bool = False,
+    free: bool = False,
 ) -> list[int]:
     """Polar nodes of each body. Raises ContactError where MOST_NODES do not suffice.
 
-    clipped: MOST_NODES serve then, as well as they can.
+    clipped: MOST_NODES serve then, as well as they can. free: for velocities under given loads,
+    which take fewer than forces of given motions.
     """
-    found = [nodes_for(rate, tolerance) for rate in check_apart(bodies, wall)]
+    found = [
+        nodes_for(rate, tolerance, factor(body.ratio, free, wall is not None))
+        for body, rate in zip(bodies, check_apart(bodies, wall), strict=True)
+    ]
     if clipped:
         return [min(count, MOST_NODES) for count in found]
     if max(found) > MOST_NODES:

@@ -124,7 +124,7 @@ _FOREIGN = {
     "field": "leave it out; qs.Suspension(...).field gives the flow at points",
 }
 _TOLERANT = {
-    "hydrodynamics": ("tolerance",),
+    "hydrodynamics": ("tolerance", "solve", "cache"),
     "events": ("clearance", "turning_points"),
     "compare": ("reference",),
 }
@@ -139,6 +139,9 @@ def coupled(data: dict[str, Any]) -> bool:
 def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     """The data of a coupled scene with its own defaults; raises Problem for what it cannot have."""
     data = dict(data)
+    around = data.get("surroundings")
+    walled = isinstance(around, dict) and around.get("type") == "wall"
+    many = not walled or (isinstance(data.get("bodies"), (list, tuple)) and len(data["bodies"]) > 1)
     if data.get("bodies"):
         bodies = data["bodies"] if isinstance(data["bodies"], list) else []
         if task == "body" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
@@ -159,6 +162,12 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
             if name not in known:
                 wrong, right = "has no meaning with a wall or several bodies", "leave it out"
                 raise Problem(wrong, right, (section, name))
+    given = data.get("hydrodynamics")
+    if given is None or (isinstance(given, dict) and "solve" not in given):
+        data["hydrodynamics"] = {**(given or {}), "solve": "every_step"}
+    elif isinstance(given, dict) and given["solve"] == "functional" and many:
+        right = "every_step: a table is one of a single body by a wall"
+        raise Problem("has no meaning for several bodies", right, ("hydrodynamics", "solve"))
     for section in ("hydrodynamics", "time"):
         given = data.get(section)
         if given is None and section == "hydrodynamics":

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import QbxStokesError
+from qbxstokes.io.cache import open_cache
 from qbxstokes.petsc.coupled import over
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.motion import followed, recorded
@@ -33,6 +34,9 @@ def run_motion(job: Job) -> dict[str, Any]:
 
     def follow(recording: Recording, team: RowTeam) -> dict[str, Any]:
         scene = coupled_of(loaded, over(comm))
+        if scene.table is not None:
+            named = loaded.case.hydrodynamics.cache
+            scene.table.cache = open_cache(named, job.options.no_cache)
         shared = team.join(BODIES)
         if comm.size > 1:
             scene.herald = shared.bcast

@@ -22,6 +22,7 @@ from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
+    from qbxstokes.simulation.over_wall import OverWall
     from qbxstokes.simulation.solved import Solution
     from qbxstokes.simulation.together import CoupledMotion, Together
 
@@ -33,7 +34,8 @@ class CoupledSimulation(Simulation):
 
     position (N, 3), orientation (N, 3) or (N, 4), loads (N, 3) each; of a single body that is given
     as itself and not in a list they may be without the first axis. resolution: relative error of
-    the velocities to aim at; that of the motion where None. comm: of PETSc, over whose ranks the
+    the velocities to aim at; that of the motion where None. table: one body by a wall moves by
+    `qs.OverWall`, where the flow and the gap allow. comm: of PETSc, over whose ranks the
     bodies are dealt. herald: told of every problem before it is solved, for other ranks to join in.
     The rest as in `Simulation`.
     """
@@ -53,6 +55,7 @@ class CoupledSimulation(Simulation):
         events: Mapping[str, Any] | EventSettings | None = None,
         tolerance: float = 1e-6,
         resolution: float | None = None,
+        table: bool = False,
         comm: Any = None,
     ) -> None:
         self.several = isinstance(bodies, Sequence)
@@ -64,6 +67,7 @@ class CoupledSimulation(Simulation):
         self.suspension = Suspension(
             members, surroundings, tolerance=resolution or max(tolerance, 1e-12), comm=comm
         )
+        self.table = self._table_of(members[0]) if table else None
         self.places = places = self.suspension.placed(position, orientation)
         self.flow, self.tolerance = flow, float(tolerance)  # type: ignore[assignment]
         self.position = np.stack([place.position for place in places])
@@ -88,6 +92,14 @@ class CoupledSimulation(Simulation):
         )
         self.herald: Callable[[Any], None] | None = None
         self._rows = None if loads is None else LoadRows(loads, len(members))
+
+    def _table_of(self, body: Body) -> OverWall:
+        from qbxstokes.simulation.over_wall import OverWall
+
+        wall = self.suspension.wall
+        if wall is None or len(self.suspension) > 1:
+            raise SceneError("table", "is asked for", "one body by a wall")
+        return OverWall(body, wall, tolerance=self.suspension.tolerance)
 
     def forces(self, t: float, q: Array) -> dict[str, Any]:
         """Force and torque (N, 3) from outside, space frame, at a time and orientations (N, 4)."""

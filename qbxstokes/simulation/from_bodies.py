@@ -49,6 +49,7 @@ def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
         events=case.events,
         tolerance=case.hydrodynamics.tolerance if case.time is None else case.time.tolerance,
         resolution=case.hydrodynamics.tolerance,
+        table=wall is not None and case.hydrodynamics.solve == "functional",
         comm=comm,
     )
 

@@ -100,13 +100,14 @@ class Suspension:
         flow: Flow | None = None,
         t: float = 0.0,
         clipped: bool = False,
+        free: bool = False,
     ) -> list[int]:
         """Polar nodes of each body, which resolve the gaps and the flow.
 
-        clipped: as many as there are at most, where more were needed for a gap. Raises
-        ContactError, and SceneError for a flow that is not one around the bodies.
+        clipped: as many as there are at most, where more were needed for a gap. free: for bodies
+        under given loads. Raises ContactError, SceneError for a flow that is none around them.
         """
-        chosen = choose_nodes(places, self.plane, self.tolerance, clipped)
+        chosen = choose_nodes(places, self.plane, self.tolerance, clipped, free)
         if flow is None:
             return chosen
         return [
@@ -201,9 +202,9 @@ class Suspension:
         """
         self.check(flow, t)
         places = self.placed(position, orientation)
-        problem = self.problem(places, nodes or self.grids(places, flow, t))
+        problem = self.problem(places, nodes or self.grids(places, flow, t, free=True))
         loads = np.concatenate([self._each(force), self._each(torque)], axis=1)
-        return self._free(problem, loads, _velocity(flow, t), guess)
+        return self.freed(problem, loads, _velocity(flow, t), guess)
 
     def free_motion(
         self,
@@ -324,9 +325,10 @@ class Suspension:
         solver.release()
         return found
 
-    def _free(
+    def freed(
         self, problem: Coupled, loads: Array, background: Any, guess: Array | None
     ) -> Solution:
+        """Bodies under loads (N, 6) in a background (points -> velocity) or none; see `free`."""
         solver = self._solver(problem, True)
         alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
         driven = [flow for _, flow in alone]
@@ -346,7 +348,7 @@ class Suspension:
         flows = [flow for flow, _ in sent]
 
         def again(nodes: list[int]) -> Solution:
-            return self._free(self.problem(problem.bodies, nodes), loads, background, None)
+            return self.freed(self.problem(problem.bodies, nodes), loads, background, None)
 
         return Solution(problem, flows, *_parts(motions), *_parts(loads), steps, x, again)
 

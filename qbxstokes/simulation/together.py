@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.coupling import LEAST_NODES, MOST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
-from qbxstokes.errors import ConvergenceError, FlowError, SceneError
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
@@ -45,16 +45,42 @@ class Fluid:
         self.scene = scene
         self.iterations = self.solves = 0
         self.errors: dict[str, float] = {}
+        self._terms: Array | None = None
 
     def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Velocities of the bodies under their loads."""
+        told = self._from_table(t, x, q)
+        if told is not None:
+            return told
         found = self._solved("free", t, x, q)
         return found.velocity, found.angular_velocity
 
     def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
         """Force and torque of the fluid ON the bodies."""
+        told = self._from_table(t, x, q, np.hstack([v, omega]))
+        if told is not None:
+            return told
         found = self._solved("held", t, x, q, velocity=v, angular_velocity=omega)
         return -found.force, -found.torque
+
+    def _from_table(
+        self, t: float, x: Array, q: Array, motion: Array | None = None
+    ) -> tuple[Array, Array] | None:
+        """Free velocities, or with a motion force and torque, from the table; None beyond it."""
+        scene, table = self.scene, self.scene.table
+        degree = 0 if scene.flow is None else scene.flow.degree
+        if table is None or degree is None or degree > 2:
+            return None
+        if self._terms is None or (scene.flow is not None and not scene.flow.steady):
+            self._terms = table.flow_terms(scene.flow, t)
+        try:
+            if motion is None:
+                load = np.hstack(self.loads(t, q))
+                return table.motion(self._terms, x, rotation.axis(q), load)
+            drag = table.drag(self._terms, x[0], rotation.axis(q)[0], motion[0])
+        except (ContactError, SceneError):
+            return None
+        return drag[None, :3], drag[None, 3:]
 
     def loads(self, t: float, q: Array) -> tuple[Array, Array]:
         """Force and torque from outside."""
@@ -76,12 +102,16 @@ class Fluid:
         x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
         found = self._solved("estimate", t, x, q).error_estimate
         for name in ("velocity", "angular_velocity"):
-            self.errors[name] = max(self.errors.get(name, 0.0), found[name])
+            error = found[name]
+            if self.scene.table is not None:
+                error += self.scene.table.error_estimate
+            self.errors[name] = max(self.errors.get(name, 0.0), error)
 
     def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
         scene = self.scene
         try:
-            nodes = scene.suspension.grids(scene.suspension.placed(x, q), scene.flow, t, True)
+            places = scene.suspension.placed(x, q)
+            nodes = scene.suspension.grids(places, scene.flow, t, True, kind != "held")
         except SceneError as error:  # beyond the edge of the flow, or at its singular point
             raise FlowError(str(error)) from None
         # From nothing, not from the last solution: numbers do not depend on what was asked before.
