@@ -102,7 +102,9 @@ def truth(flow, x):
     return dict(zip(WHAT, (*values, components(flow.stress(x))), strict=True))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_estimated_errors_of_random_fields(seed):
     """Never below a third of the true ones, whether a function is known or values alone."""
     rng = np.random.default_rng(seed)

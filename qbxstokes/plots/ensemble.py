@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.plots import style
 from qbxstokes.plots.source import ResultLike
-from qbxstokes.quantities import ENSEMBLE, LOOKED_AT
+from qbxstokes.quantities import ENSEMBLE, LOOKED_AT, column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,11 +44,14 @@ def _quantities(result: ResultLike) -> list[str]:
 
 def _bodies(result: ResultLike) -> list[str]:
     """What tells the bodies apart, in a legend."""
-    k, stokes = result.arrays["aspect_ratio"], result.arrays["stokes_number"]
-    several = len(set(stokes.tolist())) > 1
+    names = [name for name in SHAPE_KEYS if name in result.arrays]
+    if len(set(result.arrays["stokes_number"].tolist())) > 1:
+        names.append("stokes_number")
+    rows = zip(*(result.arrays[name].tolist() for name in names), strict=True)
+    symbols = [column(name).symbol for name in names]
     return [
-        rf"$k = {ratio:g}$" + (rf", $\mathrm{{St}} = {number:g}$" if several else "")
-        for ratio, number in zip(k.tolist(), stokes.tolist(), strict=True)
+        ", ".join(f"${symbol} = {value:g}$" for symbol, value in zip(symbols, row, strict=True))
+        for row in rows
     ]
 
 
