@@ -581,3 +581,26 @@ def test_a_second_argument_is_the_time_unless_it_is_an_option_of_another_name():
     for function in (at_time, required):
         assert not UserFlow(function).steady
         assert UserFlow(function).velocity(place, 5.0)[0] == 5.0
+
+
+@pytest.mark.parametrize("keys", [{"radius": 9.0}, {"half_width": 9.0}])
+def test_a_pipe_keeps_its_walls_when_it_is_written_down(keys: dict[str, float]) -> None:
+    """Turned, moved, scaled or added to, in Python or by keys: the same flow in the same walls."""
+    pipe = build_flow(
+        {"type": "tube_poiseuille" if "radius" in keys else "plane_poiseuille", **keys}
+    )
+    turn = rotation.matrix(rotation.from_euler(0.3, 0.7, 1.1))
+    by_keys = build_flow({**pipe.spec(), "rotation": turn.tolist(), "position": [0, 0.5, 0]})
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    for flow in (
+        pipe.rotated(turn),
+        pipe.shifted([1.0, 2.0, 3.0]).rotated(turn),
+        pipe.scaled(2.0).rotated(turn).shifted([1.0, 0.0, 0.0]),
+        pipe.plus(build_flow({"type": "shear"})).rotated(turn),
+        by_keys.rotated(turn).shifted([0.0, 1.0, 0.0]).scaled(-1.0),
+    ):
+        again = build_flow(flow.spec())
+        np.testing.assert_allclose(again.velocity(points), flow.velocity(points), atol=1e-13)
+        assert again.domain
+        for edge, same in zip(again.domain, flow.domain, strict=True):
+            np.testing.assert_allclose(edge.room(points), same.room(points), atol=1e-13)

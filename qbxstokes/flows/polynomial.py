@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow, curl
 from qbxstokes.flows.domain import Domain, moved
-from qbxstokes.flows.values import Array, check_keys, number, tensor
+from qbxstokes.flows.values import Array, check_keys, number, rotation_matrix, tensor
 
 Exponents = tuple[int, int, int]
 
@@ -301,7 +301,8 @@ class PolynomialFlow(Flow):
     def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
         """The flow moved, u'(x) = u(x - displacement): its origin moves."""
         way = tensor(displacement, "position", (3,))
-        return self._with(self._tensors, self.origin + way, moved(self._domain, np.eye(3), way))
+        flow = self._with(self._tensors, self.origin + way, moved(self._domain, np.eye(3), way))
+        return self._carried(flow, np.eye(3), way)
 
     def about(self, origin: ArrayLike) -> PolynomialFlow:
         """The same flow by its derivatives at another origin."""
@@ -320,19 +321,37 @@ class PolynomialFlow(Flow):
             "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
         )
         tensors = (turn @ self.value, turn @ self.gradient_tensor @ turn.T, hessian, third)
-        return self._with(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
+        flow = self._with(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
+        return self._carried(flow, turn, np.zeros(3))
 
     def scaled(self, factor: float) -> PolynomialFlow:
         """The flow times a number."""
         s = number(factor, "factor")
         tensors = [s * derivatives for derivatives in self._tensors]
-        return self._with(tensors, self.origin, self._domain)
+        flow = self._with(tensors, self.origin, self._domain)
+        spec = {"type": "transformed", "flow": self.spec(), "factor": s}
+        return flow.named(spec) if self._domain else flow
+
+    def _carried(self, flow: PolynomialFlow, turn: Array, way: Array) -> PolynomialFlow:
+        """This flow turned and moved, with a specification that tells of its walls.
+
+        Tensors alone would leave them out; a flow without walls is written down as its tensors.
+        """
+        if self._domain and self._spec is not None:
+            rotation = turn @ rotation_matrix(self._spec.get("rotation", np.eye(3)))
+            position = (
+                turn @ tensor(self._spec.get("position", np.zeros(3)), "position", (3,)) + way
+            )
+            moves = {"rotation": rotation.tolist(), "position": position.tolist()}
+            return flow.named({**self._spec, **moves})
+        return flow
 
     def plus(self, other: PolynomialFlow) -> PolynomialFlow:
         """Sum of two polynomial flows as one, about the origin of the first."""
         pairs = zip(self._tensors, other.about(self.origin)._tensors, strict=True)
         domain = self._domain + other.domain
-        return self._with([one + two for one, two in pairs], self.origin, domain)
+        flow = self._with([one + two for one, two in pairs], self.origin, domain)
+        return flow.named({"type": "sum", "terms": [self.spec(), other.spec()]}) if domain else flow
 
     def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
         """The same flow, remembering the specification it was built from."""
