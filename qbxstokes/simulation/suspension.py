@@ -110,10 +110,9 @@ class Suspension:
         chosen = choose_nodes(places, self.plane, self.tolerance, clipped, free)
         if flow is None:
             return chosen
-        return [
-            max(count, self._flow_nodes(b, place, flow, t))
-            for b, (count, place) in enumerate(zip(chosen, places, strict=True), start=1)
-        ]
+        for b, place in enumerate(places):
+            chosen[b] = max(chosen[b], self._flow_nodes(b + 1, place, flow, t))
+        return chosen
 
     @property
     def least_rate(self) -> float:
@@ -159,7 +158,7 @@ class Suspension:
             raise SceneError("bodies", f"are {n}", f"at most {MOST_RESISTANCE} for the resistance")
         columns = [unit.reshape(n, 6) for unit in np.eye(6 * n)]
         found = self._held(problem, [(motion, None) for motion in columns])
-        return np.stack([_loads(one) for one in found], axis=1)
+        return np.stack([np.hstack([f.force, f.torque]).ravel() for f in found], axis=1)
 
     def mobility(self, position: ArrayLike, orientation: ArrayLike | None = None) -> Array:
         """Mobility (6N, 6N): the inverse of the resistance."""
@@ -178,7 +177,7 @@ class Suspension:
     ) -> Solution:
         """The bodies with given velocities (N, 3) or (3,) in a flow."""
         self.check(flow, t)
-        motion = np.concatenate([self._each(velocity), self._each(angular_velocity)], axis=1)
+        motion = np.hstack([self._each(velocity), self._each(angular_velocity)])
         places = self.placed(position, orientation)
         problem = self.problem(places, nodes or self.grids(places, flow, t))
         (found,) = self._held(problem, [(motion, _velocity(flow, t))])
@@ -400,7 +399,3 @@ def _velocity(flow: Flow | None, t: float) -> Any:
 
 def _parts(pairs: Array) -> tuple[Array, Array]:
     return pairs[:, :3], pairs[:, 3:]
-
-
-def _loads(found: Solution) -> Array:
-    return np.concatenate([found.force, found.torque], axis=1).ravel()
