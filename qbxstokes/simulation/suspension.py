@@ -180,8 +180,7 @@ class Suspension:
         motion = np.hstack([self._each(velocity), self._each(angular_velocity)])
         places = self.placed(position, orientation)
         problem = self.problem(places, nodes or self.grids(places, flow, t))
-        (found,) = self._held(problem, [(motion, _velocity(flow, t))])
-        return found
+        return self._held(problem, [(motion, _velocity(flow, t))])[0]
 
     def free(
         self,
