@@ -5,8 +5,8 @@ Errors of spheres are against the exact series in bispherical coordinates (Brenn
 tolerance, relative to the largest entry of the resistance. Times are CPU times of one core.
 
 Run:      python cases/benchmarks/bodies.py      (3 min; --small: 10 s; --csv)
-Expected: all met on a quiet machine, but iterations of k = 2 at gap 0.3 (16) and, by a little,
-squeezing at s = 2.01 (48 nodes: 0.0115).
+Expected: met, but iterations of k = 2 at gap 0.3 (16), squeezing at s = 2.01 (48 nodes: 0.0115),
+and, on a busy machine, times.
 """
 
 from __future__ import annotations
