@@ -48,6 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     share_threads()
     gc.set_threshold(_ALLOCATIONS)
+    # Pictures are drawn into files: a notebook's backend may not be there.
+    os.environ.pop("MPLBACKEND", None)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may not know all signs
+        sys.stdout.reconfigure(errors="backslashreplace")
     if isinstance(sys.stderr, io.TextIOWrapper):  # and not closed, or taken by a test
         told = sys.stderr
         sys.stderr = _Remarks(told.buffer, told.encoding, told.errors, line_buffering=True)

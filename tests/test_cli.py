@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, Run
+from conftest import ENVIRONMENT, ROOT, Run
 
 import qbxstokes
 from qbxstokes.case.document import parse, read_text
@@ -404,3 +406,20 @@ def test_a_missing_package_is_one_line() -> None:
     assert told.startswith("mpi4py is not installed; python -m qbxstokes doctor")
     assert missing_message(ModuleNotFoundError("no", name="qbxstokes.petsc.x")) == ""
     assert missing_message(ValueError("x")) == ""
+
+
+def test_signs_names_and_backends_that_are_not_known(tmp_path: Path) -> None:
+    """ASCII terminals, bytes that are no UTF-8 in a file's name, a notebook's backend."""
+    name = os.fsdecode(b"n\xff.yaml")
+    text = "title: Gr\u00fc\u00dfe\nbody: {aspect_ratio: 0.5}\nflow: {type: shear}\n"
+    (tmp_path / name).write_text(text + "time: {end: 1, samples: 3}\n", encoding="utf-8")
+    extra = {"PYTHONIOENCODING": "ascii", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    for words in ([name], ["plot", os.fsdecode(b"n\xff.h5"), "--kind", "rotation"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "qbxstokes", *words],
+            cwd=tmp_path,
+            env={**ENVIRONMENT, **extra},
+            capture_output=True,
+            check=False,
+        )
+        assert (done.returncode, b"Traceback" in done.stderr) == (0, False), done.stderr

@@ -64,6 +64,8 @@ def write_tree(group: h5py.Group, tree: Mapping[str, Any]) -> None:
     import h5py
 
     for name, value in tree.items():
+        if isinstance(value, str):  # names of files may hold bytes that are no UTF-8
+            value = value.encode("utf-8", "backslashreplace").decode()
         if isinstance(value, Mapping):
             write_tree(group.require_group(name), value)
         elif value is None:
