@@ -124,12 +124,13 @@ orbit_constant | C | 1 | Jeffery's orbit constant in the shear at the start: inf
 """)
 
 # Of a motion as well, where it is asked for: what the body adds to the stress of a suspension. The
-# last three are per volume fraction, in units of mu times the rate sqrt(2 E:E) at the centre.
+# others are per volume fraction, in units of mu times the rate sqrt(2 E:E) at the centre.
 STRESS = _table(r"""
 stresslet           | S        | mu c^3/tau | stresslet, with that of the torque       | stresses
 particle_stress     | \Sigma   | 1 | stress over volume fraction, mu and rate, all parts | stresses
 acceleration_stress | \Sigma^A | 1 | its part from the particle's acceleration           | stresses
 reynolds_stress     | \Sigma^R | 1 | its part from the particle's motion past the flow   | stresses
+brownian_stress     | \Sigma^B | 1 | its part from rotary Brownian motion                | stresses
 """)
 RECORDABLE = MOTION | STRESS
 

@@ -110,6 +110,50 @@ def test_ensembles_turn_and_stress_as_the_density_says() -> None:
             qs.ensemble(bodies, series, brownian={"rotary_diffusivity": 0.1} | bad if bad else bad)
 
 
+def test_motions_turn_at_random_as_the_density_says() -> None:
+    """Lanes of a simulation in shear: stress and its Brownian part within errors of `rheology`."""
+    body, axes = qs.Body(0.2), isotropic_axes(0, 0, 200)
+    keys = {"brownian": {"rotary_diffusivity": 0.1, "seed": 2, "step": 0.1}, "tolerance": 1e-8}
+    scene = qs.Simulation(body, SHEAR, orientation=axes, **keys)
+    motion, exact = scene.integrate(np.linspace(0.0, 40.0, 81)), qs.rheology(body, SHEAR, 10.0)
+    for name in ("particle_stress", "brownian_stress"):
+        found, right = motion.mean(name, discard=0.25), getattr(exact, name)
+        assert np.all(np.abs(found.mean - right) < 4.0 * found.standard_error)
+        assert found.standard_error[0, 1] < 0.06 * right[0, 1]
+    few = scene.at(np.array([3, 150])).integrate([0.0, 2.0, 4.0])
+    again = scene.integrate([0.0, 2.0, 4.0]).axis[[3, 150]]
+    assert np.abs(few.axis - again).max() < 1e-6
+
+
+def test_motions_disperse_with_shear() -> None:
+    """A sphere's places in shear: 2 D t (1 + t^2/3) along, D t^2 mixed, 2 D t across."""
+    keys = {"rotary_diffusivity": 0.5, "translation": True}
+    axes, t = np.tile([0.0, 0.0, 1.0], (3000, 1)), 3.0
+    scene = qs.Simulation(qs.Body(1.0), SHEAR, orientation=axes, brownian=keys, tolerance=1e-8)
+    found = np.cov(scene.integrate([t]).position[:, 0].T) / (0.5 * 8.0 / 6.0)
+    exact = np.diag([2.0 * t * (1.0 + t * t / 3.0), 2.0 * t, 2.0 * t])
+    exact[0, 1] = exact[1, 0] = t * t
+    sizes = np.sqrt(np.diag(exact))
+    assert np.all(np.abs(found - exact) < 4.0 * np.sqrt(2.0 / 3000) * np.outer(sizes, sizes))
+
+
+def test_what_no_random_motion_can_have() -> None:
+    random = {"rotary_diffusivity": 0.1}
+    walls = qs.flow("plane_poiseuille", half_width=5.0)
+    for keys in (
+        {"bodies": qs.Body(0.5, stokes_number=1.0)},
+        {"flow": walls},
+        {"constraints": qs.Constraints(angular_velocity=[0, 0, 0])},
+        {"brownian": {**random, "step": 6.0}},
+        {"brownian": {"seed": 1}},
+    ):
+        given = {"bodies": qs.Body(0.5), "flow": SHEAR, "brownian": random} | keys
+        with pytest.raises(QbxStokesError):
+            qs.Simulation(**given)
+    with pytest.raises(QbxStokesError, match="no meaning for a single motion"):
+        qs.run({"flow": {"type": "shear"}, "time": {"end": 1}, "brownian": random})
+
+
 def test_isotropic_axes_stress_a_fluid_as_they_must() -> None:
     """<S:E>/(2 <E:E> V) = (S0 + 2 S1 + 2 S2)/(10 V) where axes do not know the gradients."""
     gradients = np.random.default_rng(1).standard_normal((4000, 6, 3, 3))

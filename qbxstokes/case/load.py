@@ -71,9 +71,8 @@ def checked(document: Document, path: Path) -> LoadedCase:
     if document.data.get("statistics") is not None and not kept:
         wrong = "has no meaning without sweep.store: statistics"
         raise document.error("statistics", wrong, "store: statistics, with flow.trajectory: all")
-    if document.data.get("brownian") is not None and not kept:
-        wrong, right = "has no meaning without sweep.store: statistics", "task: rheology, langevin"
-        raise document.error("brownian", wrong, right)
+    if document.data.get("brownian") is not None:
+        _check_brownian(document)
     loaded = from_document(document, path)
     document, space = loaded.document, loaded.space or SweepSpace(())
     for number, columns in enumerate(space.axes):
@@ -83,6 +82,19 @@ def checked(document: Document, path: Path) -> LoadedCase:
             with _told(document, f" (value {point + 1} of the axis)"):
                 Case.read(space.assign(document.data, place))
     return loaded
+
+
+def _check_brownian(document: Document) -> None:
+    """Raise CaseError for motions that cannot be random."""
+    sweep = document.data.get("sweep")
+    if not isinstance(sweep, dict):
+        right = "sweep: {axes: [start.orientation: {random: axes, count: 100}]} or the like"
+        raise document.error("brownian", "has no meaning for a single motion", right)
+    for name in ("bodies", "surroundings", "field"):
+        if document.data.get(name) is not None:
+            raise document.error("brownian", f"has no meaning with {name}", "leave one of them out")
+    if sweep.get("measure"):
+        raise document.error("brownian", "has no meaning with sweep.measure", "leave one out")
 
 
 def from_document(document: Document, path: Path, space: SweepSpace | None = None) -> LoadedCase:

@@ -88,6 +88,14 @@ class Moment:
         return components(parts[0]) / volume_rate, components(parts[1]) / volume_rate
 
     @cached_property
+    def brownian(self) -> Array:
+        """3 kT lambda (pp - I/3) (n, 6), part of the particle stress (Hinch & Leal 1972)."""
+        thermal = 0.0 if self.stress.thermal is None else self.stress.thermal
+        p, strength = self.axis, np.resize(thermal, len(self.states))[:, None]
+        outer = p[:, :, None] * p[:, None, :] - np.eye(3) / 3.0
+        return np.asarray(strength * components(outer) / self._scale[1])
+
+    @cached_property
     def _scale(self) -> tuple[Array, Array]:
         """Velocity gradient (n, 3, 3) at the centres, and volume times rate (n, 1)."""
         gradient = self.stress.gradient(self.t, self.states)
@@ -101,6 +109,8 @@ class Moment:
     def particle_stress(self) -> Array:
         """Sum (n, 6) of all parts over volume fraction, mu and rate (G. K. Batchelor 1970)."""
         flowing = np.asarray(self.stresslet / self._scale[1])
+        if self.stress.thermal is not None:
+            flowing = flowing + self.brownian
         return flowing if self.equations.massless else flowing + self.inertial[0] + self.inertial[1]
 
 
@@ -124,6 +134,7 @@ OBSERVABLES: dict[str, Callable[[Moment], Array]] = {
     "particle_stress": lambda moment: moment.particle_stress,
     "acceleration_stress": lambda moment: moment.inertial[0],
     "reynolds_stress": lambda moment: moment.inertial[1],
+    "brownian_stress": lambda moment: moment.brownian,
 }
 
 

@@ -50,7 +50,7 @@ def philox(seed: Any, path: Any, step: Any, word: Any) -> Any:
     return c0, c1, c2, c3
 
 
-def variance(diffusivity: float, step: float) -> float:
+def variance(diffusivity: Any, step: float) -> Any:
     """Of the turn about either axis across p in a step: s - s^2/6, s = 2 D h."""
     s = 2.0 * diffusivity * step
     return s - s * s / 6.0

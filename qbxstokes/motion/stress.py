@@ -24,7 +24,14 @@ _UNIT: Array = np.eye(3)
 
 
 class StressSource(Protocol):
-    """What knows the stresslets of the lanes of a scene, and the flow's gradient there."""
+    """What knows the stresslets of the lanes of a scene, and the flow's gradient there.
+
+    thermal: 3 kT lambda (n,) of the lanes, None without Brownian motion.
+    """
+
+    @property
+    def thermal(self) -> Array | None:
+        """As above."""
 
     def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Array | None) -> Array:
         """S (n, 6) in space, positions x (n, 3), unit quaternions q (n, 4) and axes p (n, 3).

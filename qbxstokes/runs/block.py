@@ -72,7 +72,8 @@ def empty_result(
 def lanes_of(scenes: Scenes, number: int, index: Indices, body: Body | None = None) -> Simulation:
     """Some trajectories of a scene as the lanes of a simulation; body: formed before."""
     loaded = scenes.scene(number).loaded
-    return simulation_of(loaded, body, starts_of(loaded, scenes.space.values(index), len(index)))
+    starts = starts_of(loaded, scenes.space.values(index), len(index))
+    return simulation_of(loaded, body, replace(starts, numbers=index))
 
 
 def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_PERIODIC = "period", "period_change", "orbit_drift"
 # What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
 Maker = Callable[["Simulation", Workshop], Hydrodynamic]
 # Steps at least over a run whose flow or loads change in time, of which the start tells nothing.
@@ -189,6 +190,9 @@ class Assembled:
             )
             for lanes, part in zip(self.slices(), self.parts, strict=True)
         ]
+        for part, averages in zip(self.parts, found, strict=True):
+            if part.brownian is not None:  # turns that have no period
+                averages |= {name: np.full(len(part), np.nan) for name in _PERIODIC}
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
     def expected_errors(self, end: float, rounding: float = 0.0) -> list[dict[str, float]]:
@@ -212,7 +216,7 @@ class Assembled:
     def motion(self, times: ArrayLike) -> Motion:
         """The motion sampled at times (T,)."""
         instants = given.instants(times)
-        if len(self.initial) > 1:
+        if len(self.initial) > 1 or self.parts[0].brownian is not None:
             run = LaneRun.of(self, instants)
             trajectory = run.go()
             if trajectory.failure or trajectory.refusal:
@@ -330,6 +334,7 @@ def _check_alike(parts: Sequence[Simulation]) -> None:
             "a velocity at the start": part.velocity is None,
             "an angular_velocity at the start": part.angular_velocity is None,
             "loads": part.loads is None,
+            "brownian": part.brownian and (part.brownian.translation, part.brownian.seed),
             "constraints": tuple(value is None for value in vars(bound).values()),
             "flow": part.kind if part.kind == "table" else id(part.flow),
         }

@@ -38,6 +38,7 @@ class Starts:
     quaternion: Array
     velocity: Array | None
     angular_velocity: Array | None
+    numbers: NDArray[Any] | None = None  # as trajectories of a sweep
 
 
 @contextmanager
@@ -76,7 +77,7 @@ def simulation_of(
     assert given is not None
     body = body_of(loaded) if body is None else body
     loads, constraints = loads_and_constraints(loaded, end_of(loaded))
-    return Simulation(
+    simulation = Simulation(
         body.with_inertia(stokes, case.body.inertia),
         loaded.flow,
         position=given.position,
@@ -86,8 +87,12 @@ def simulation_of(
         loads=loads,
         constraints=constraints,
         events=case.events,
+        brownian=case.brownian,
         tolerance=case.time.tolerance,
     )
+    if given.numbers is not None:
+        simulation.numbers = given.numbers.astype(np.uint64)
+    return simulation
 
 
 def start_of(loaded: LoadedCase) -> Simulation:

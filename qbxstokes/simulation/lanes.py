@@ -57,6 +57,10 @@ class LaneRun:
         on_cut: called where the run could be resumed from what it holds. cuts: where that is, other
         than by the scene's own rule.
         """
+        if self.assembled.parts[0].brownian is not None:
+            from qbxstokes.simulation.brownian import go_at_random
+
+            return go_at_random(self, on_cut, interrupted)
         while True:
             whole = len(self.active) == self.states.shape[1]
             assembled = self.assembled if whole else self.assembled.some(self.active)

@@ -142,6 +142,11 @@ class Motion:
         return self._stress["reynolds_stress"]
 
     @cached_property
+    def brownian_stress(self) -> Array:
+        """The part of particle_stress from rotary Brownian motion."""
+        return self._stress["brownian_stress"]
+
+    @cached_property
     def _stress(self) -> dict[str, Array]:
         found = self._assembled.observe(self.time, self._states, tuple(STRESS))
         lanes = self.position.shape[:-2]

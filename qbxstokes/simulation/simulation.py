@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.document import written
 from qbxstokes.case.running import Events as EventSettings
 from qbxstokes.errors import FlowError, SceneError
@@ -44,7 +45,8 @@ class Simulation:
     broadcast; their leading axes are lanes, independent copies that are integrated together.
     velocity, angular_velocity (..., 3): at the start, space frame; None: with the flow. loads:
     external force and torque. constraints: held or prescribed parts of the motion. events: keys of
-    that section of a case. tolerance: error accepted at the end of the motion. On several ranks
+    that section of a case. brownian: likewise, such as {"rotary_diffusivity": 0.1}; lanes are
+    independent then. tolerance: error accepted at the end of the motion. On several ranks
     every rank builds the same simulation.
 
     >>> import numpy as np, qbxstokes as qs
@@ -54,6 +56,9 @@ class Simulation:
     >>> motion.axis.shape, bool(np.allclose(motion.axis[:, -1], motion.axis[:, 0]))
     ((2, 41, 3), True)
     """
+
+    brownian: Brownian | None = None
+    numbers: NDArray[np.uint64]  # of the lanes as trajectories, which choose their random numbers
 
     def __new__(cls, bodies: Any = (), flow: Any = None, surroundings: Any = None, **_: Any) -> Any:
         """Several bodies, or one by a wall, make a `CoupledSimulation`."""
@@ -75,6 +80,7 @@ class Simulation:
         loads: Loads | None = None,
         constraints: Constraints | None = None,
         events: Mapping[str, Any] | EventSettings | None = None,
+        brownian: Mapping[str, Any] | Brownian | None = None,
         tolerance: float = 1e-10,
     ) -> None:
         assert not isinstance(bodies, Sequence)  # `__new__` has made it another class
@@ -96,6 +102,12 @@ class Simulation:
         if not 0.0 < tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
         self.tolerance = float(tolerance)
+        self.numbers = np.arange(len(self.position), dtype=np.uint64)
+        if brownian is not None:
+            from qbxstokes.simulation.brownian import check_brownian
+
+            self.brownian = section("brownian", Brownian, brownian)
+            check_brownian(self)
 
     def _per_lane(self, name: str, values: Array, width: int) -> Array:
         try:
@@ -125,7 +137,7 @@ class Simulation:
             return vectors if callable(vectors) or np.ndim(vectors) < 2 else vectors[chosen]
 
         loads, bound = self.loads, self.constraints
-        return Simulation(
+        chosen_lanes = Simulation(
             self.body.with_inertia(self.stokes_number[chosen], self.body.inertia),
             self.flow,
             position=self.position[chosen],
@@ -137,8 +149,11 @@ class Simulation:
             if bound is None
             else Constraints(*(None if v is None else lane_loads(v) for v in vars(bound).values())),
             events=self.events,
+            brownian=self.brownian,
             tolerance=self.tolerance,
         )
+        chosen_lanes.numbers = self.numbers[chosen]
+        return chosen_lanes
 
     def shaped(self, values: Array) -> Array:
         """Values (n, ...) of the lanes in the shape of the leading axes."""
@@ -182,7 +197,7 @@ class Simulation:
     def need(self, pushed: bool = False) -> Need:
         """What is asked of the hydrodynamics; pushed: with the resistance in any case."""
         completion = self.body.settings.completion
-        if completion is None and (pushed or self.pushed):
+        if completion is None and (pushed or self.pushed or self.brownian):
             completion = "surface"
         return Need(self.kind, completion, self.position[0], self.quaternion[0])
 

@@ -126,6 +126,7 @@ class SceneStress:
     ) -> None:
         """parts: of each scene with its lanes. linear: lambda of each lane (n,)."""
         self._parts, self._linear = parts, linear
+        self.thermal: Array | None = None
 
     @classmethod
     def of(cls, assembled: Assembled) -> SceneStress:
@@ -137,7 +138,18 @@ class SceneStress:
         ):
             parts.append((FreeStress(part.body, part.flow, part.body.stress), lanes))
             linear[lanes] = formed.model.faxen.linear
-        return cls(parts, linear)
+        found = cls(parts, linear)
+        if assembled.parts[0].brownian is not None:
+            found.thermal = np.concatenate(
+                [
+                    np.full(len(part), 3.0 * part.brownian.rotary_diffusivity)
+                    * formed.model.resistance.rotation_transverse
+                    * formed.model.faxen.linear
+                    for part, formed in zip(assembled.parts, assembled.hydrodynamics, strict=True)
+                    if part.brownian is not None
+                ]
+            )
+        return found
 
     def gradient(self, t: float, states: Array) -> Array:
         """Velocity gradient (n, 3, 3) of the background flow at the centres."""

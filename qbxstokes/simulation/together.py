@@ -41,6 +41,8 @@ _LOOSE = 1e-6
 class Fluid:
     """What the equations ask of a scene: each answer is a problem of its own."""
 
+    thermal = None
+
     def __init__(self, scene: CoupledSimulation) -> None:
         self.scene = scene
         self.iterations = self.solves = 0

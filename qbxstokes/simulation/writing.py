@@ -43,6 +43,8 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
         case["time"]["at"] = np.asarray(times, dtype=float).tolist()
     if body.inertia != "both":
         case["body"]["inertia"] = body.inertia
+    if scene.brownian is not None:
+        case["brownian"] = {n: v for n, v in plain(scene.brownian).items() if v is not None}
     if scene.loads is not None:
         case["forces"] = {
             name: _written_vector(f"loads.{name}", value)
