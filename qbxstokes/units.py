@@ -5,6 +5,7 @@ By pint, which is loaded only where a case or a reader asks for units.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -34,6 +35,17 @@ def _registry() -> Any:
     return needed("pint", "a case or result with units").UnitRegistry()
 
 
+# Arithmetic of whole numbers without end: towers and nests of powers, three digits above.
+_ENDLESS = re.compile(r"(?:\*\*|\^)[-+\s\d.]*(?:\*\*|\^|\d{3})|\([^)]*\(")
+
+
+def _quantity(text: str) -> Any:
+    """What pint reads in a text; raises errors of many kinds for what is no quantity."""
+    if len(text) > 100 or _ENDLESS.search(text):
+        raise ValueError
+    return _registry().parse_expression(text)
+
+
 def has_unit(text: Any) -> bool:
     """Whether a text is a number with a unit, such as '3 um'; angles are none."""
     if not isinstance(text, str) or not _WITH_UNIT.fullmatch(text):
@@ -51,16 +63,16 @@ class Scales:
 
     def __init__(self, given: Mapping[str, str]) -> None:
         self.given = {name: text for name, text in given.items() if text is not None}
-        units = _registry()
+        _registry()  # MissingPackageError is no wrong quantity
         self._held: dict[str, Any] = {}
         for name, text in self.given.items():
             kind, example = GIVEN[name]
             try:
-                value = units.parse_expression(str(text))
-                right = value.check(kind)
-            except Exception:  # pint raises errors of many kinds for what is no quantity
+                value = _quantity(str(text))
+                right = value.check(kind) and 0.0 < value.magnitude < math.inf
+            except Exception:
                 right = False
-            if not right or not value.magnitude > 0.0:
+            if not right:
                 raise SceneError(f"units.{name}", f"is {text!r}", f"write one such as {example}")
             self._held[name] = value
         if ("rate" in self._held) == ("time" in self._held) or "length" not in self._held:
@@ -92,7 +104,7 @@ class Scales:
             why = "needs units.viscosity" if "mu" in units else "takes no unit"
             raise ValueError(why)
         try:
-            value = _registry().parse_expression(text)
+            value = _quantity(text)
             if not value.check(scale.dimensionality):
                 raise ValueError
         except Exception:

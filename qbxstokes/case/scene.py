@@ -42,7 +42,7 @@ class ShapeSection(Section, is_open=True):
         if isinstance(data, str):
             right = f"write shape: {{type: {data}}} and its numbers; types: {', '.join(SHAPES)}"
             raise Problem(f"is {describe(data)}", right)
-        if isinstance(data, dict) and (name := data.get("type", "spheroid")) not in SHAPES:
+        if isinstance(data, dict) and (name := data.get("type", "spheroid")) not in list(SHAPES):
             known = meant(str(name), SHAPES, f"known here: {', '.join(SHAPES)}")
             raise Problem(f"is {describe(name)}", known, ("type",))
         if not isinstance(data, dict):

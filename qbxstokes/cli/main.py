@@ -155,7 +155,7 @@ def run_command(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
             return status
         first, commands = options.words[0], (*_COMMANDS, *_OF_RESULTS)
-        if len(options.words) > 1 or not (Path(first).suffix or Path(first).exists()):
+        if len(options.words) > 1 or not (Path(first).suffix or os.path.exists(first)):
             if Path(first).suffix in (".yaml", ".yml"):
                 raise CaseError(f"command line: {options.words[1]}: one case at a time")
             import difflib
@@ -163,7 +163,7 @@ def run_command(arguments: Sequence[str]) -> int:
             close = difflib.get_close_matches(first, commands, 1)
             right = f"did you mean {close[0]}?" if close else f"commands: {', '.join(commands)}"
             raise CaseError(
-                f"command line: {first}: neither a command nor a case file; {right} "
+                f"command line: {first[:80]}: neither a command nor a case file; {right} "
                 "(a case is run by its name alone)"
             )
     except QbxStokesError as error:

@@ -135,12 +135,12 @@ def unknown(result: Result, columns: Sequence[str] = ()) -> list[str]:
 
     columns: those that are looked at; () for all.
     """
-    if "table" not in result.shapes:
+    table = result.arrays["table"] if "table" in result.shapes else None
+    there = () if table is None else table.dtype.names or ()
+    if table is None or "status" not in there:
         return []
-    table = result.arrays["table"]
     done = table[table["status"] == 1]
     found: dict[tuple[str, int], list[str]] = {}
-    there = table.dtype.names or ()
     for name in columns or there:
         why = next((text for start, text in _WHY.items() if name == start), "") or next(
             (text for start, text in _WHY.items() if name.startswith(f"{start}_")), ""
