@@ -312,7 +312,8 @@ def model_distance(one: BodyModel, other: BodyModel, degree: int = 3) -> float:
     if r is None or s is None:
         return motion
     numbers = zip(vars(r).values(), vars(s).values(), strict=True)
-    return float(motion + max(abs(a / b - 1.0) for a, b in numbers))
+    distance = float(motion + max(abs(a / b - 1.0) for a, b in numbers))
+    return math.inf if math.isnan(distance) else distance
 
 
 def adjoint_tail(functional: ModalFunctional) -> float:

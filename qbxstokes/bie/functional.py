@@ -316,7 +316,9 @@ def resistance(functional: ModalFunctional, completion: dict[str, Array]) -> Res
     if not completion:
         return None
     weights = functional.weights
-    numbers = {name: 1.0 / float(weights[name] @ completion[name]) for name in weights}
+    pushed = {name: float(weights[name] @ completion[name]) for name in weights}
+    # A scheme without accuracy may not move the body at all.
+    numbers = {name: 1.0 / speed if speed else math.inf for name, speed in pushed.items()}
     if functional.grid.shape.symmetry == "sphere":
         for kind in ("translation", "rotation"):
             across, along = f"{kind}_transverse", f"{kind}_axial"
