@@ -55,15 +55,9 @@ class Quantity:
 
     def columns(self) -> list[Quantity]:
         """Its components as a quantity each, position_1 and so on; itself where it has none."""
+        about = self.units, self.description, self.frame
         return [
-            Quantity(
-                f"{self.name}_{part}",
-                symbol,
-                self.units,
-                self.description,
-                self.frame,
-                label=self._headed(symbol),
-            )
+            Quantity(f"{self.name}_{part}", symbol, *about, label=self._headed(symbol))
             for part, symbol in zip(self.components, self.symbols, strict=True)
         ] or [self]
 

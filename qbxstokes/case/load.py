@@ -44,6 +44,12 @@ class LoadedCase:
         """A CaseError that points at `key` in the file."""
         return self.document.error(key, wrong, right)
 
+    def at(self, points: Sequence[int]) -> LoadedCase:
+        """The case at one point of every axis of its sweep."""
+        assert self.space is not None
+        data = self.space.assign(self.document.data, points)
+        return from_document(replace(self.document, data=data), self.path)
+
     def resolved(self) -> dict[str, Any]:
         """Every section that the task takes with all its keys, defaults included, as plain data."""
         unused = {key[0] for key in FOREIGN[self.case.task] if len(key) == 1}

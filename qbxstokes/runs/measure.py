@@ -24,7 +24,6 @@ from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, summarise
 from qbxstokes.runs.coupled_sweep import fill
 from qbxstokes.runs.plan import make_plan, plan_body
-from qbxstokes.runs.scenes import case_at
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.compare import Comparison, compare_samples
@@ -74,7 +73,7 @@ class Measurer:
         scenes = self._scenes
         try:
             points = np.unravel_index(number, scenes.space.shape)
-            loaded = case_at(scenes.loaded, [int(point) for point in points])
+            loaded = scenes.loaded.at([int(point) for point in points])
             swept = [str(c.key[1]) for _, c in scenes.space.columns if c.key[0] == "petsc"]
             with own_options({name: loaded.case.petsc[name] for name in swept}):
                 if loaded.case.coupled:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.document import assigned
-from qbxstokes.case.load import LoadedCase, from_document
+from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import Column
 from qbxstokes.case.values import Key
 from qbxstokes.geometry.registry import SHAPE_KEYS
@@ -111,12 +111,12 @@ class Scenes:
         assert loaded.space is not None
         assert loaded.case.sweep is not None
         assert loaded.case.time is not None
-        self.loaded, self.space = loaded, loaded.space
+        self.loaded, self.space, self._time = loaded, loaded.space, loaded.case.time
         for name, right in _SINGLE.items():
             if getattr(loaded.case, name) != type(loaded.case).declared[name].default:
                 raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
         self.samples = samples_of(loaded)
-        if loaded.case.time.at is None:  # one number for all, where the case leaves it open
+        if self._time.at is None:  # one number for all, where the case leaves it open
             data = assigned(loaded.document.data, ("time", "samples"), self.samples)
             self.loaded = replace(loaded, document=replace(loaded.document, data=data))
         section = loaded.case.sweep
@@ -207,16 +207,13 @@ class Scenes:
 
     def scenes_of(self, number: int) -> list[int]:
         """Scenes that a block holds trajectories of."""
-        own = int(self._first_block[-1])
-        if number >= own:
-            return self._gathered[number - own]
+        if (gathered := number - int(self._first_block[-1])) >= 0:
+            return self._gathered[gathered]
         return [int(np.searchsorted(self._first_block, number, side="right")) - 1]
 
     def _members(self, scene: int, start: int, stop: int) -> Indices:
         """Numbers of the trajectories [start, stop) of a scene."""
-        chosen = [
-            classes[place] for classes, place in zip(self._classes, self._place(scene), strict=True)
-        ]
+        chosen = self._chosen(scene)
         local = np.unravel_index(np.arange(start, stop), tuple(len(points) for points in chosen))
         points = tuple(
             where if isinstance(list_of, range) else list_of[where]
@@ -224,25 +221,20 @@ class Scenes:
         )
         return np.asarray(np.ravel_multi_index(points, self.space.shape), dtype=np.int64)
 
-    def _place(self, scene: int) -> tuple[int, ...]:
-        return tuple(int(i) for i in np.unravel_index(scene, self.shape))
+    def _chosen(self, scene: int) -> list[Any]:
+        """Points of every axis that a scene is of."""
+        places = np.unravel_index(scene, self.shape)
+        return [classes[place] for classes, place in zip(self._classes, places, strict=True)]
 
     def first_members(self, scene: int) -> Indices:
         """Numbers of the trajectories of a scene's first block."""
         return self._members(scene, 0, min(self.block_size, int(self.sizes[scene])))
 
-    def first_points(self, scene: int) -> list[int]:
-        """Point of every axis at the first trajectory of a scene."""
-        return [
-            int(classes[place][0])
-            for classes, place in zip(self._classes, self._place(scene), strict=True)
-        ]
-
     def scene(self, number: int) -> Scene:
         """A scene by its number; raises QbxStokesError where the case cannot be computed."""
         if self._latest is not None and self._latest.number == number:
             return self._latest
-        loaded = case_at(self.loaded, self.first_points(number))
+        loaded = self.loaded.at([int(points[0]) for points in self._chosen(number)])
         self._latest = Scene(number, loaded, make_plan(loaded, pushed=self.pushed))
         return self._latest
 
@@ -261,8 +253,7 @@ class Scenes:
     @property
     def common_times(self) -> NDArray[np.float64] | None:
         """The instants of all trajectories, None where scenes have their own."""
-        time = self.loaded.case.time
-        assert time is not None
+        time = self._time
         changing = {"time"} if time.periods is None else {"time", "flow", "start", *SHAPE_KEYS}
         varies = any(
             self._makes_scene(column) and changing & set(column.key[:2])
@@ -332,9 +323,7 @@ class Scenes:
     def _makes_scene(self, column: Column) -> bool:
         """Whether trajectories with different values cannot be integrated together."""
         if column.key[: len(_POSITION)] == _POSITION:
-            time = self.loaded.case.time
-            assert time is not None
-            return time.periods is not None and not self._uniform_gradient
+            return self._time.periods is not None and not self._uniform_gradient
         return column.key[0] != "start"
 
     @cached_property
@@ -373,15 +362,12 @@ class Scenes:
 
     def _company_labels(self, column: Column, points: Indices) -> list[str]:
         """What tells the values of a column apart where trajectories are to share a block."""
-        time, key = self.loaded.case.time, column.key
-        assert time is not None
-        values = column.take(points)
-        own_times = time.periods is not None and key[0] in ("flow", "start", "body")
-        if key == STOKES:
+        key = column.key
+        own_times = self._time.periods is not None and key[0] in ("flow", "start", "body")
+        sized = column.numeric and key[0] in ("body", "flow", "forces")
+        if key == STOKES or own_times or not sized:
             return self._labels(column, points)
-        if own_times or not column.numeric or key[0] not in ("body", "flow", "forces"):
-            return self._labels(column, points)
-        sizes = np.abs(values).reshape(len(values), -1).max(axis=1)
+        sizes = np.abs(column.take(points)).reshape(len(points), -1).max(axis=1)
         if key[0] == "body":
             # Steps grow with the slenderness: bodies within a factor of four are alike.
             with np.errstate(divide="ignore"):
@@ -400,13 +386,6 @@ class Scenes:
         number = self._alike(_changes_body, self._labels)
         _, representatives, body = np.unique(number, return_index=True, return_inverse=True)
         return body, [int(i) for i in representatives]
-
-
-def case_at(loaded: LoadedCase, points: Sequence[int]) -> LoadedCase:
-    """The case at one point of every axis."""
-    assert loaded.space is not None
-    document = replace(loaded.document, data=loaded.space.assign(loaded.document.data, points))
-    return from_document(document, loaded.path)
 
 
 def _changes_body(column: Column) -> bool:
