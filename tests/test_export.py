@@ -66,12 +66,17 @@ def test_every_task_is_exported(task: str, results: dict[str, Any], tmp_path: Pa
         if name != "table":
             assert np.array_equal(data[name], result[name], equal_nan=True), name
             assert data[name].attrs["units"] == result.attributes[name]["units"]
+    opened = xarray.load_dataset(result.path, engine="h5netcdf")  # the result itself
+    assert {name: opened[name].dims for name in result.names} == {
+        name: ("trajectory",) if name == "table" else data[name].dims for name in result.names
+    }
+    assert not set(opened) - set(result.names)
     if task == "motion":
         assert [float(row["axis_3"]) for row in table] == result.axis[:, 2].tolist()
-        assert data["axis"].dims == ("time", "axis_component")
+        assert data["axis"].dims == ("time", "component")
     elif task == "sweep":
         assert [float(row["end"]) for row in table] == result.table["end"].tolist()
-        assert data["axis"].dims == ("trajectory", "time", "axis_component")
+        assert data["axis"].dims == ("trajectory", "sample", "component")
         assert np.array_equal(held["table/end"], result.table["end"])
     elif task == "field":
         assert made[0].name == "out-plane.csv"

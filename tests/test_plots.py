@@ -737,3 +737,17 @@ def test_an_overview_fits_a4(tmp_path: Path) -> None:
     tops = sorted((axes.get_position().x0, axes.get_position().y1) for axes in figure.axes)
     assert len(set(tops)) == len(figure.axes)
     assert min(a.get_position().height for a in figure.axes if a.get_ylabel()) > 0.04
+
+
+def test_a_picture_is_laid_out_and_drawn_once(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four pictures of an orbit take about a second: no drawing is thrown away."""
+    from matplotlib.figure import Figure
+
+    drawn: list[Figure] = []
+    draw = Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda self, by: (drawn.append(self), draw(self, by))[1])
+    written = picture_command("plot", [str(path), "-o", str(tmp_path), "--quiet"])
+    assert written == 0
+    assert len(drawn) == len(list(tmp_path.glob("*.pdf"))) == len({id(one) for one in drawn})

@@ -105,7 +105,7 @@ def test_ranges_and_paths_are_taken(tmp_path, monkeypatch):
             r"case: start.position: is {1, 2}, of type set; numbers, ",
         ),
         ({"forces": {"force": np.sin}}, r"case: forces.force: <ufunc 'sin'> cannot .*write a func"),
-        ({"start": {"position": turning}}, r"case: start.position: is '<python>.py:turning'; 3"),
+        ({"start": {"position": turning}}, r"case: start.position: is the function turning; 3"),
         ({"forces": {"force": turning}}, r"<python>.py:turning must return three finite numb"),
     ],
 )

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import qbxstokes as qs
 from qbxstokes.geometry import rotation
 
 RNG = np.random.default_rng(7)
@@ -89,3 +90,14 @@ def test_random_axes_are_isotropic() -> None:
     assert np.allclose(axes.T @ axes / len(axes), np.eye(3) / 3.0, atol=0.01)
     turned = rotation.axis(rotation.random_quaternions(20000, np.random.default_rng(2)))
     assert np.allclose(turned.T @ turned / len(turned), np.eye(3) / 3.0, atol=0.01)
+
+
+@pytest.mark.parametrize("axis", [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+def test_phi_is_smooth_where_the_axis_of_a_heavy_body_stands_at_a_pole(axis: list[float]) -> None:
+    body = qs.Body(2.0, stokes_number=1.0)
+    times = np.linspace(0.0, 20.0, 201)
+    motion = body.integrate(qs.flow("shear"), times, orientation=axis, tolerance=1e-6)
+    phi, theta, psi = motion.euler_angles.T
+    assert np.all(psi == 0.0)
+    assert np.allclose(theta, np.arccos(axis[2]), atol=1e-8)
+    assert np.allclose(np.unwrap(phi), -0.5 * times, atol=1e-6)

@@ -342,12 +342,10 @@ def test_results_are_read_in_two_lines(sweep: Sweep, tmp_path: Path) -> None:
     sweep({"body.aspect_ratio": [0.5, 1]}, RANDOM)
     table = h5py.File(tmp_path / "case.h5")["table"]
     assert table["period"].shape == (12,)
-    assert [scale.name for scale in h5py.File(tmp_path / "case.h5")["axis"].dims[0].values()][
-        :2
-    ] == [
-        "/trajectory",
-        "/aspect_ratio",
-    ]
+    file = h5py.File(tmp_path / "case.h5")
+    scales = [[scale.name for scale in dim.values()] for dim in file["axis"].dims]
+    assert scales == [["/trajectory"], ["/time"], ["/component"]]
+    assert file["aspect_ratio"].dims[0][0].name == "/trajectory"
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(h5py.File(tmp_path / "case.h5")["table"][:])
     assert frame.groupby("aspect_ratio")["period"].mean().shape == (2,)
@@ -356,7 +354,7 @@ def test_results_are_read_in_two_lines(sweep: Sweep, tmp_path: Path) -> None:
     pytest.importorskip("xarray")
     data = qbxstokes.load(tmp_path / "case.h5").to_xarray()
     assert dict(data.sizes)["trajectory"] == 12
-    assert data.axis.sel(trajectory=3, axis_component="1").dims == ("time",)
+    assert data.axis.sel(trajectory=3, component="1").dims == ("time",)
     assert data.aspect_ratio.dims == ("trajectory",)
 
 

@@ -124,6 +124,8 @@ class Document:
 
     def override(self, assignment: str) -> None:
         """Apply one `--set section.key=value`; the value is read as YAML."""
+        # A terminal without UTF-8 hands its letters over as bytes.
+        assignment = os.fsencode(assignment).decode("utf-8", "backslashreplace")
         target, equals, text = assignment.partition("=")
         origin, key = f"--set {printable(assignment)}", parse_key(target)
         if not equals or "" in key:

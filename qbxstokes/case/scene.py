@@ -106,7 +106,8 @@ class FlowSection(Section, is_open=True):
     @classmethod
     def _prepare(cls, data: Any) -> Any:
         if isinstance(data, str):
-            right = f"type: user, function: {data}" if ".py:" in data else f"type: {data}"
+            name = data.removeprefix("<python>.py:")
+            right = f"type: user, function: {name}" if ".py:" in data else f"type: {data}"
             raise Problem(f"is {describe(data)}", f"write flow: {{{right}}}")
         if not isinstance(data, dict):
             return data

@@ -68,6 +68,8 @@ def describe(value: Any) -> str:
         return "empty"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str) and value.startswith("<python>.py:"):  # see `flows.user.hand_over`
+        return f"the function {value.partition(':')[2]}"
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else value[:37] + "...")
     if isinstance(value, dict):

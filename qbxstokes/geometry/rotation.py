@@ -109,19 +109,20 @@ def from_euler(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> Array:
     )
 
 
-def to_euler(q: ArrayLike) -> Array:
+def to_euler(q: ArrayLike, pole: float = _POLE) -> Array:
     """Euler angles (phi, theta, psi) of R = R3(phi) R1(theta) R3(psi). (..., 4) -> (..., 3).
 
     theta is in [0, pi] and accurate at both ends; phi and psi are in (-pi, pi]. At the poles,
-    where only phi + psi or phi - psi is defined, psi is 0.
+    where only phi + psi or phi - psi is defined, psi is 0: where the sine of half the angle from
+    there is at most `pole`.
     """
     q0, q1, q2, q3 = _components(q)
     cosine, sine = np.hypot(q0, q3), np.hypot(q1, q2)
     size = np.hypot(cosine, sine)
     total, difference = np.arctan2(q3, q0), np.arctan2(q2, q1)
     total, difference = (
-        np.where(cosine <= _POLE * size, difference, total),
-        np.where(sine <= _POLE * size, total, difference),
+        np.where(cosine <= pole * size, difference, total),
+        np.where(sine <= pole * size, total, difference),
     )
     return np.stack(
         [_wrap(total + difference), 2.0 * np.arctan2(sine, cosine), _wrap(total - difference)],

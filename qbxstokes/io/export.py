@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, needed
+from qbxstokes.io import axes as names
 from qbxstokes.io.listing import KNOWN
 from qbxstokes.quantities import FLUID, POINT, SURFACE
 
@@ -25,49 +26,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-# The axes that datasets of a task have before those of their components, as far as they have them.
-_LEADING = {
-    "motion": ("time", "body"),
-    "field": ("time", "body"),
-    "sweep": ("trajectory", "time", "sample", "body"),
-    "rheology": ("peclet_number", "time"),
-    "ensemble": ("time", "lag"),
-}
-_KNOWN = {
-    "distribution": ("peclet_number", "theta", "phi"),
-    "strain": ("time",),
-    "strain_rate": ("time",),
-}
 _TOLD = ("units", "description")
 
 
 def dimensions(result: Result, name: str) -> tuple[str, ...]:
-    """Names of a dataset's axes: time, trajectory, ..., and position_component of a vector's."""
-    shapes = result.shapes
-    shape = shapes[name]
-    if name in _KNOWN:
-        return _KNOWN[name]
-    tensor = len(shape) > 1 and shape[-1] == shape[-2] in (3, 6)
-    if "components" in result.attributes.get(name, {}):
-        last: tuple[str, ...] = (f"{name}_component",)
-    else:
-        last = (f"{name}_row", f"{name}_column") if tensor else ()
-    leading = [axis for axis in _LEADING.get(result.task, ()) if axis in shapes or axis == "body"]
-    if len(shape) == 1 and not last and (name in leading or name not in shapes):
-        return (name,)
-    found: list[str] = []
-    for size in shape[: len(shape) - len(last)]:
-        fitting = [axis for axis in leading if shapes.get(axis, (size,))[-1] == size]
-        if axis := next(iter(fitting), ""):
-            leading = leading[leading.index(axis) + 1 :]
-        found.append(axis or (name if len(shape) == 1 else f"{name}_{len(found)}"))
-    return (*found, *last)
+    """Names of a dataset's axes: time, trajectory, ..., and component of a vector's."""
+    return names.dimensions(result.task, result.shapes, result.attributes, name)
 
 
 def _labels(result: Result, name: str, axis: str, size: int) -> Sequence[Any]:
     """What tells the entries of one axis of a dataset apart."""
-    if axis == f"{name}_component":
-        return list(result.attributes[name]["components"])
+    components = result.attributes.get(name, {}).get("components")
+    if components is not None and axis == names.component_axis(name, components):
+        return list(components)
     prefix = "body" if axis == "body" else ""
     return [f"{prefix}{number + 1}" for number in range(size)]
 
@@ -80,7 +51,7 @@ def columns(result: Result) -> tuple[list[str], dict[str, Array]]:
     """
     if "table" in result.shapes:
         return ["trajectory"], {"trajectory": np.arange(len(result.table)), **table_of(result)}
-    leading = [axis for axis in _LEADING.get(result.task, ()) if axis in result.shapes]
+    leading = [axis for axis in names.LEADING.get(result.task, ()) if axis in result.shapes]
     sizes = [result.shapes[axis][-1] for axis in leading]
     found: dict[str, Array] = {}
     for number, axis in enumerate(leading):
@@ -128,7 +99,7 @@ def to_xarray(result: Result) -> xarray.Dataset:
     shapes = result.shapes
     if "table" in shapes:
         about = result.attributes["table"]
-        swept = {str(name) for name in about["coordinates"]}
+        swept = set(about["coordinates"])
         for name, column in table_of(result).items():
             told = {key: about[f"{name}: {key}"] for key in _TOLD if f"{name}: {key}" in about}
             held = coordinates if name in swept else variables
@@ -140,7 +111,7 @@ def to_xarray(result: Result) -> xarray.Dataset:
         told = {k: v for k, v in result.attributes[name].items() if k not in ("components",)}
         is_axis = axes == (name,) or name == "time"
         (coordinates if is_axis else variables)[name] = (axes, result[name], told)
-        if axes and axes[-1] == f"{name}_component":
+        if "components" in result.attributes[name]:
             coordinates[axes[-1]] = _labels(result, name, axes[-1], shape[-1])
     about = {"title": str(result.path), "task": result.task, "conventions": result.conventions}
     return needed("xarray", "to_xarray()").Dataset(variables, coordinates, about)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 FORMAT = "qbxstokes"
 FORMAT_VERSION = 1
 PARTS = "parts"  # the group that names the parts which a result shows
+DIMENSION = "This is a netCDF dimension but not a netCDF variable."  # the name of its scale
 CONVENTIONS = (
     "Nondimensional: length c (polar radius), time tau, speed c/tau, force mu c^2/tau, torque "
     "mu c^3/tau. Orientation: unit quaternion (q0, q1, q2, q3), scalar first, R(q) maps body to "
@@ -59,13 +60,24 @@ def _check_heaps(data: mmap.mmap, begin: int, end: int) -> None:
         at = data.find(_HEAP, at + 1, end)
 
 
+def stored_text(text: str) -> str:
+    """A text as files hold it: names of files may have bytes that are no UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def is_dimension(data: h5py.Dataset) -> bool:
+    """Whether a dataset holds nothing but marks a dimension."""
+    mark = data.attrs.get("NAME", b"") if data.ndim == 1 else b""
+    return isinstance(mark, bytes) and mark.startswith(DIMENSION.encode())
+
+
 def write_tree(group: h5py.Group, tree: Mapping[str, Any]) -> None:
     """Store nested dictionaries of numbers, texts and arrays; None and '' stay distinguishable."""
     import h5py
 
     for name, value in tree.items():
-        if isinstance(value, str):  # names of files may hold bytes that are no UTF-8
-            value = value.encode("utf-8", "backslashreplace").decode()
+        if isinstance(value, str):
+            value = stored_text(value)
         if isinstance(value, Mapping):
             write_tree(group.require_group(name), value)
         elif value is None:
@@ -91,7 +103,7 @@ def read_tree(group: h5py.Group) -> dict[str, Any]:
     for name, item in group.items():
         if isinstance(item, h5py.Group):
             tree[name] = read_tree(item)
-        else:
+        elif not is_dimension(item):
             value = item[()]
             if isinstance(value, bytes):
                 tree[name] = value.decode()

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from qbxstokes.errors import CaseError, ResultFileError
-from qbxstokes.io.format import FORMAT, open_file
+from qbxstokes.io.format import FORMAT, open_file, stored_text
 
 
 def numbered(path: Path) -> Iterator[Path]:
@@ -126,5 +126,6 @@ def _written(path: Path) -> int:
 
 def _results_of(case: str, paths: Iterable[Path]) -> list[Path]:
     """Those that are results of a case by its file's name, the newest last."""
+    case = stored_text(case)
     found = [path for path in paths if Path(told_by(path, "case_file") or "").name == case]
     return sorted(found, key=_written)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, open_file, read_tree
+from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, is_dimension, open_file, read_tree
 from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
 from qbxstokes.io.physical import Converted
@@ -205,7 +205,7 @@ class SweepResult(Result):
     @property
     def coordinates(self) -> list[str]:
         """Names of the swept columns."""
-        return [str(name) for name in self.attributes["table"]["coordinates"]]
+        return list(self.attributes["table"]["coordinates"])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -304,8 +304,10 @@ def _read(path: Path) -> Result:
                     f"{path}: has format version {header['format_version']}, this program reads "
                     f"{FORMAT_VERSION}; update qbxstokes"
                 )
-            items = {name: item for name, item in file.items() if isinstance(item, h5py.Dataset)}
-            groups = {name: read_tree(file[name]) for name in file if name not in items}
+            whole = dict(file.items())
+            items = {n: item for n, item in whole.items() if isinstance(item, h5py.Dataset)}
+            groups = {n: read_tree(item) for n, item in whole.items() if n not in items}
+            items = {n: item for n, item in items.items() if not is_dimension(item)}
             attributes = {name: _told(item) for name, item in items.items()}
             if header["task"] == "sweep":  # its datasets are read later, by name
                 if "status" not in (items["table"].dtype.names or ()):
@@ -351,4 +353,9 @@ def shows_parts(path: Path) -> bool:
 
 def _told(item: h5py.Dataset) -> dict[str, Any]:
     """What a dataset, or each column of a table, says of itself."""
-    return {key: item.attrs[key] for key in item.attrs if key in _ATTRIBUTES or ": " in key}
+    found = {key: item.attrs[key] for key in item.attrs if key in _ATTRIBUTES or ": " in key}
+    if isinstance(swept := found.get("coordinates", []), str):
+        found["coordinates"] = swept.split()
+    elif len(swept):
+        found["coordinates"] = [str(name) for name in swept]
+    return found

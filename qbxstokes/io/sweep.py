@@ -6,8 +6,8 @@ need not be neighbours, are written with `pwrite` at the offsets that HDF5 gave.
 
 Layout (format_version 1, task "sweep"): `table` (n), one row per trajectory with the swept values
 and the summary of each; `time` (T), or (n, T) where the instants differ; the quantities of
-`quantities.MOTION` (n, T, ...), each with the dimension scales `trajectory` and the swept values on
-the first axis and `time` (or `sample`) on the second.
+`quantities.MOTION` (n, T, ...), each with the scales `trajectory` on the first axis and `time` (or
+`sample`) on the second; the swept values (n).
 
 A result that is not merged holds the scales alone; the table and the quantities are virtual
 datasets, which HDF5 puts together from the parts (`io.store`) when they are read. These are named
@@ -29,7 +29,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, PARTS, write_tree
+from qbxstokes.io.axes import name_axes
+from qbxstokes.io.format import (
+    CONVENTIONS,
+    FORMAT,
+    FORMAT_VERSION,
+    PARTS,
+    is_dimension,
+    write_tree,
+)
 from qbxstokes.io.places import describe, placed_dataset, reserve, write_at
 from qbxstokes.io.store import check_disk
 from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity, of_bodies
@@ -134,6 +142,7 @@ def create(
             group.create_dataset("name", data=names, track_times=False)
             sizes = [part.path.stat().st_size for part in shown]
             group.create_dataset("bytes", data=sizes, track_times=False)
+        name_axes(file)
         file.flush()
         offsets = _offsets(file)
     reserve(path)
@@ -206,7 +215,7 @@ def _slices(stretches: list[Array]) -> Iterator[slice]:
 
 
 def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Dataset]) -> None:
-    """All datasets with their scales; the numbers come later. rows_of: makes those with rows."""
+    """All datasets; the numbers come later. rows_of: makes those with rows."""
     numbers = np.dtype(np.float64)
     table = rows_of("table", (layout.size,), layout.dtype)
     table.attrs["description"] = "one row per trajectory"
@@ -215,40 +224,21 @@ def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Datase
         table.attrs[f"{name}: description"] = about.description
         if about.units:
             table.attrs[f"{name}: units"] = about.units
-    table.attrs["coordinates"] = list(layout.coordinates)
-    index = placed_dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), TRAJECTORY)
-    index.make_scale("trajectory")
-    scales = []
+    table.attrs["coordinates"] = " ".join(layout.coordinates)  # as netCDF has them
+    placed_dataset(file, "trajectory", (layout.size,), np.dtype(np.int64), TRAJECTORY)
     for name in layout.coordinates:
         kind = layout.dtype[name]
-        scale = placed_dataset(file, name, (layout.size,), kind, layout.descriptions[name])
-        scale.make_scale(name)
-        scales.append(scale)
-    table.dims[0].label = "trajectory"
-    for scale in (index, *scales):
-        table.dims[0].attach_scale(scale)
+        placed_dataset(file, name, (layout.size,), kind, layout.descriptions[name])
     if not layout.quantities:
         return
-    own = layout.times is None
-    if own:
-        time = rows_of("time", (layout.size, layout.samples), numbers, TIME)
+    if layout.times is None:
+        rows_of("time", (layout.size, layout.samples), numbers, TIME)
+        placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), SAMPLE)
     else:
-        time = placed_dataset(file, "time", (layout.samples,), numbers, TIME)
-    second = time
-    if own:
-        second = placed_dataset(file, "sample", (layout.samples,), np.dtype(np.int64), SAMPLE)
-        time.dims[0].attach_scale(index)
-        second.make_scale("sample")
-        time.dims[1].attach_scale(second)
-    else:
-        time.make_scale("time")
+        placed_dataset(file, "time", (layout.samples,), numbers, TIME)
     for name in layout.quantities:
         about = layout.about(name)
-        data = rows_of(name, (layout.size, layout.samples, *about.shape), numbers, about)
-        for scale in (index, *scales):
-            data.dims[0].attach_scale(scale)
-        data.dims[1].attach_scale(second)
-        data.dims[0].label, data.dims[1].label = "trajectory", "sample" if own else "time"
+        rows_of(name, (layout.size, layout.samples, *about.shape), numbers, about)
 
 
 class WholeFile:
@@ -344,5 +334,5 @@ def _offsets(file: h5py.File) -> dict[str, int]:
     return {
         name: int(item.id.get_offset())
         for name, item in {**file, **totals}.items()
-        if isinstance(item, h5py.Dataset) and not item.is_virtual
+        if isinstance(item, h5py.Dataset) and not item.is_virtual and not is_dimension(item)
     }

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import CaseError, OutputError
+from qbxstokes.io.axes import name_axes
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
 from qbxstokes.io.names import check_writable, numbered, temporary_name
 from qbxstokes.io.places import describe, reserve
@@ -208,6 +209,7 @@ class ResultWriter:
         """
         with self._writing():
             write_tree(self.file.require_group("summary"), summary or {})
+            name_axes(self.file)
         with self._writing():
             self.file.close()
             os.fsync(self.stream.fileno())

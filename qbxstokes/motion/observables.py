@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 # States are turned into quantities in pieces of about this many, which stay in the cache.
 _PIECE = 4096
+# Nearer to e3 or -e3, where the third component of the axis is 1 or -1 to rounding, phi and psi
+# alone are noise of the integration: psi is 0 there.
+_POLE = 1e-8
 # What every caller gets.
 _BASIC = ("position", "axis", "velocity", "angular_velocity")
 
@@ -128,7 +131,7 @@ OBSERVABLES: dict[str, Callable[[Moment], Array]] = {
     "angular_velocity": lambda moment: moment.velocities[1],
     "force": lambda moment: moment.force_torque[0],
     "torque": lambda moment: moment.force_torque[1],
-    "euler_angles": lambda moment: rotation.to_euler(moment.orientation),
+    "euler_angles": lambda moment: rotation.to_euler(moment.orientation, _POLE),
     "orbit_constant": _orbit_constant,
     "stresslet": lambda moment: moment.stresslet,
     "particle_stress": lambda moment: moment.particle_stress,

@@ -283,6 +283,7 @@ def _lay_out(figure: Figure) -> None:
     Labels of panels above one another are aligned afterwards: matplotlib looks at all others for
     each of them. Together this was two thirds of the time of a picture.
     """
+    import matplotlib
     from matplotlib.ticker import ScalarFormatter
 
     low, high = (10.0**power for power in _SETTINGS["axes.formatter.limits"])
@@ -296,7 +297,8 @@ def _lay_out(figure: Figure) -> None:
     if engine is None:
         return
     engine.execute(figure)
-    figure.set_layout_engine("none")
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)  # with "none", saving draws it once more for its layout
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     left: dict[float, list[Axes]] = {}
     for axes in figure.axes:

@@ -36,7 +36,8 @@ def instants(values: ArrayLike) -> Array:
 def require_flow(flow: Any) -> None:
     """Raise SceneError for what is no flow."""
     if not isinstance(flow, Flow):
-        raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear')")
+        right = "qs.flow('user', function=...)" if callable(flow) else "qs.flow('shear')"
+        raise SceneError("flow", f"is {flow!r}", f"a flow such as {right}")
 
 
 def require(name: str, value: Any, kind: type, right: str) -> None:
