@@ -141,14 +141,51 @@ def test_ensembles_agree_with_the_integrator_of_scenes() -> None:
         assert np.abs(motion.axis[-1] - found[path, 0]).max() < 1e-6
 
 
+@pytest.mark.parametrize(("k", "stokes"), [(0.2, 300.0), (1.0, 0.01), (0.2, 1.0), (5.0, 3.0)])
+def test_bodies_with_inertia_turn_as_in_scenes(k: float, stokes: float) -> None:
+    """Euler's equations by another integrator, from lazy to stiff, and samples far apart."""
+    times = np.linspace(0.0, 8.0, 41)
+    a = smooth_gradients(8, 3, times)
+    a[1, 20] *= 8.0
+    series = qs.GradientSeries(times, a)
+    heavy = body(k).with_inertia(stokes)
+    for tolerance in (1e-4, 1e-7):
+        ensemble = Ensemble((body(0.2), heavy), series, AXIS, tolerance=tolerance)
+        found = ends(ensemble)
+        assert np.array_equal(
+            found[:, 0], ends(Ensemble((body(0.2),), series, AXIS, tolerance=tolerance))[:, 0]
+        )
+        for path in range(2):
+            flow = qs.flow("linear", gradient=series, trajectory=path)
+            motion = heavy.integrate(flow, [8.0], orientation=AXIS, tolerance=1e-9)
+            assert np.abs(motion.axis[-1] - found[path, 1]).max() < 10.0 * tolerance
+
+
+def test_spin_of_a_heavy_sphere_follows_a_vorticity_that_turns() -> None:
+    """Angular velocity W in a rotation w(t)/2: W' = r (w/2 - W), of each component."""
+    times = np.linspace(0.0, 20.0, 201)
+    a = np.zeros((1, 201, 3, 3))
+    a[0, :, 0, 1], a[0, :, 1, 0] = -0.5 * np.cos(times), 0.5 * np.cos(times)
+    series = qs.GradientSeries(times, a)
+    found = qs.ensemble(
+        body(1.0).with_inertia(5.0), series, orientation=[0, 0, 1], statistics={"sampling": False}
+    )
+    r = 15.0 / 5.0  # 8 pi/(8 pi/15 St)
+    settled = r * (r * np.cos(found.time) + np.sin(found.time)) / (r * r + 1.0)
+    spin = 0.5 * (settled + (1.0 - r * r / (r * r + 1.0)) * np.exp(-r * found.time))
+    place = found.quantities.index("spinning")
+    assert np.abs(found.mean_in_time[0, place] - spin**2).max() < 1e-6
+
+
 def test_a_path_does_not_depend_on_its_company(tmp_path: Path) -> None:
     times = np.linspace(0.0, 4.0, 41)
     a = smooth_gradients(9, 301, times).astype(np.float32)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["A"], file["t"] = np.swapaxes(a.reshape(301, 41, 9), 0, 1), times
     series = qs.GradientSeries(times, a)
-    whole = Ensemble((body(0.2), body(5.0)), series, AXIS)
-    alone = Ensemble((body(0.2), body(5.0)), series.part(slice(37, 38), slice(None)), AXIS)
+    bodies = body(0.2), body(5.0), body(5.0).with_inertia(0.01)
+    whole = Ensemble(bodies, series, AXIS)
+    alone = Ensemble(bodies, series.part(slice(37, 38), slice(None)), AXIS)
     assert np.array_equal(ends(whole)[37], ends(alone)[0])
     statistics = {"keep": 2, "quantities": ["tumbling", "cos_strain_1", "cos_strain_3"]}
     found = qs.ensemble([body(0.2), body(5.0)], series, statistics=statistics)
@@ -290,7 +327,13 @@ def test_ranks_leave_the_bits_alone(tmp_path: Path, mpirun: Run) -> None:
     ("change", "message"),
     [
         ({"sweep": None}, "without sweep.store: statistics"),
-        ({"body": {"aspect_ratio": 0.2, "stokes_number": 1.0}}, "massless"),
+        (
+            {
+                "body": {"aspect_ratio": 0.2, "stokes_number": 1.0},
+                "statistics": {"stresses": True},
+            },
+            "massless",
+        ),
         ({"time": {"end": 3.0}}, "is 3 and the series covers 0 to 2"),
         ({"forces": {"force": [0, 0, 1]}}, "have no statistics"),
         ({"flow": {"type": "shear"}}, "has no paths"),

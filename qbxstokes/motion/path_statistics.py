@@ -144,21 +144,33 @@ def share_of(one: float, two: float, three: float, square: float, form: float) -
 
 
 @inner
-def look_at(a: Any, m: Any, p: Any, length: float, count: int, found: Any) -> None:
-    """The quantities of the axes p in the gradients a, rows 3 and on; m: L times `length`."""
+def follow_flow(m: Any, p: Any, length: float, w: Any) -> None:
+    """The rates w (4, LANES) of massless bodies: dp/dt, and the spin about p; m: L times `length`.
+
+    L - L^T is A - A^T, for every law.
+    """
     rate = 1.0 / length
     for b in range(LANES):
         x, y, z = p[0, b], p[1, b], p[2, b]
         u = rate * (m[0, b] * x + m[1, b] * y + m[2, b] * z)
         v = rate * (m[3, b] * x + m[4, b] * y + m[5, b] * z)
-        w = rate * (m[6, b] * x + m[7, b] * y + m[8, b] * z)
-        along = u * x + v * y + w * z
-        u, v, w = u - along * x, v - along * y, w - along * z
+        s = rate * (m[6, b] * x + m[7, b] * y + m[8, b] * z)
+        along = u * x + v * y + s * z
+        w[0, b], w[1, b], w[2, b] = u - along * x, v - along * y, s - along * z
+        spin = (m[7, b] - m[5, b]) * x + (m[2, b] - m[6, b]) * y + (m[3, b] - m[1, b]) * z
+        w[3, b] = 0.5 * rate * spin
+
+
+@inner
+def look_at(a: Any, p: Any, w: Any, count: int, found: Any) -> None:
+    """The quantities of the axes p with rates w (4, LANES) in the gradients a, rows 3 and on."""
+    for b in range(LANES):
+        x, y, z = p[0, b], p[1, b], p[2, b]
         w1, w2, w3 = a[7, b] - a[5, b], a[2, b] - a[6, b], a[3, b] - a[1, b]
-        spin = w1 * x + w2 * y + w3 * z
-        found[3, b] = u * u + v * v + w * w
-        found[4, b] = 0.25 * spin * spin
-        found[5, b] = abs(spin) / (math.sqrt(w1 * w1 + w2 * w2 + w3 * w3) + _TINY)
+        along = w1 * x + w2 * y + w3 * z
+        found[3, b] = w[0, b] * w[0, b] + w[1, b] * w[1, b] + w[2, b] * w[2, b]
+        found[4, b] = w[3, b] * w[3, b]
+        found[5, b] = abs(along) / (math.sqrt(w1 * w1 + w2 * w2 + w3 * w3) + _TINY)
     if count > _COSINES:
         for b in range(LANES):
             x, y, z = p[0, b], p[1, b], p[2, b]

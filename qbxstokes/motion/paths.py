@@ -16,26 +16,44 @@ Compiled by numba, which is imported with this module.
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import math
+from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.motion import random_turns
+from qbxstokes.motion import inertial_paths, path_statistics, random_turns
+from qbxstokes.motion.inertial_paths import turn_inertial, workroom
 from qbxstokes.motion.path_statistics import (
     LANES,
     add_stresses,
     begin_tile,
     correlate,
     flow_rates,
+    follow_flow,
     look_at,
     move_sums,
     note,
 )
 
-compiled = numba.njit(cache=compiled_are_kept(), error_model="numpy", fastmath={"contract"})
+
+def compiled(function: Any) -> Any:
+    """The function compiled, and kept: numba watches this file alone, so its name tells the rest.
+
+    The rest are the modules that the loops call.
+    """
+    digest = hashlib.blake2b(digest_size=6)
+    for module in (inertial_paths, path_statistics, random_turns):
+        digest.update(Path(inspect.getfile(module)).read_bytes())
+    function.__qualname__ += f"_{digest.hexdigest()}"
+    options = {"error_model": "numpy", "fastmath": {"contract"}}
+    return numba.njit(cache=compiled_are_kept(), **options)(function)
+
+
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
 
 philox = inner(random_turns.philox)
@@ -240,6 +258,7 @@ def follow_axes(
     laws: Any,
     tolerances: Any,
     axes: Any,
+    spins: Any,
     wanted: Any,
     sums: Any,
     kept: Any,
@@ -247,19 +266,24 @@ def follow_axes(
 ) -> None:
     """Axes (P, B, 3) of B bodies along P paths, in place, and what is wanted of them on the way.
 
+    spins (P, B, 4): of inertial bodies the rates of their axes and their spins about them, in
+    place.
+
     samples (P, T, 9) of the instants of a tile, traceless; grid: (first, weights, lengths) of its
-    intervals, as `flows.interpolation.power_weights` gives them; laws (B, 2): lambda and rest;
+    intervals, as `flows.interpolation.power_weights` gives them, and the span of the whole series;
+    laws (B, 5): lambda and rest, and of inertial bodies r, r' and g of `inertial_paths`, else 0;
     tolerances (B,): errors per unit of time. wanted, sums: of `path_statistics`. kept (K,
     intervals, B, 3): axes at the start of each interval of the first K paths.
     turns: at random, before and after the flow of each interval (`random_turns`).
     """
-    first, weights, lengths = grid
+    first, weights, lengths, span = grid
     paths, bodies = axes.shape[0], axes.shape[1]
     intervals, degrees, _ = weights.shape
     window = np.zeros((samples.shape[1], 9, LANES))
     c, m = np.empty((degrees, 9, LANES)), np.empty((degrees, 9, LANES))
     work, series = np.empty((degrees + 2 + TERMS, LANES)), np.empty((TERMS, 3, LANES))
     terms, p = np.empty(LANES, np.int64), np.zeros((bodies, 3, LANES))
+    w, room = np.zeros((bodies, 4, LANES)), workroom(degrees)
     p[:, 2] = 1.0
     tile, rates, found = begin_tile(bodies, sums)
     for start in range(0, paths, LANES):
@@ -269,6 +293,8 @@ def follow_axes(
             for b in range(lanes):
                 for i in range(3):
                     p[body, i, b] = axes[start + b, body, i]
+                for i in range(4):
+                    w[body, i, b] = spins[start + b, body, i]
         move_sums(start, lanes, tile, rates, sums, False)
         for number in range(intervals):
             powers(window, first[number], weights[number], c)
@@ -281,8 +307,11 @@ def follow_axes(
                         for i in range(3):
                             kept[start + b, number, body, i] = p[body, i, b]
                 turning(c, lengths[number], laws[body, 0], laws[body, 1], m)
+                inertial = laws[body, 2] > 0.0
                 if look >= 0:
-                    look_at(c[0], m[0], p[body], lengths[number], wanted.quantities, found)
+                    if not inertial:
+                        follow_flow(m[0], p[body], lengths[number], w[body])
+                    look_at(c[0], p[body], w[body], wanted.quantities, found)
                     note(found, wanted, number, lanes, body, tile, sums)
                     correlate(p[body], wanted, look, start, lanes, body, sums)
                     if wanted.stresses.shape[0] > 0:
@@ -292,6 +321,12 @@ def follow_axes(
                 if turns.diffusivity > 0.0:
                     kick(p[body], turns, lengths[number], place, lanes, False)
                 tolerance = tolerances[body] * lengths[number]
+                if inertial:
+                    relaxation = laws[body, 2:]
+                    turn_inertial(
+                        m, relaxation, lengths[number], span, tolerance, p[body], w[body], room
+                    )
+                    continue
                 far = terms_of(m, work, terms, tolerance)
                 turn(m, terms, series, p[body])
                 if far:
@@ -305,3 +340,5 @@ def follow_axes(
             for b in range(lanes):
                 for i in range(3):
                     axes[start + b, body, i] = p[body, i, b]
+                for i in range(4):
+                    spins[start + b, body, i] = w[body, i, b]

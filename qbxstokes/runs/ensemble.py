@@ -34,7 +34,7 @@ from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
 from qbxstokes.runs.target import identity_of, result_path, working_folder
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added
+from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added, turns_with_inertia
 from qbxstokes.simulation.ensemble_means import Found
 from qbxstokes.simulation.from_case import pointed, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -46,8 +46,10 @@ UNITS = "units"  # the parts of an ensemble
 ORIENTATION = ("start", "orientation")
 # Most units, and bytes that their sums take together: rank 0 holds them all at the end.
 _MOST_UNITS, _MOST_BYTES = 1024, 256 * 2**20
-# Seconds on one core for a path and interval, a body more of it, a look at it; for a byte read.
-_PATH, _BODY, _LOOK, _BYTE = 2.0e-7, 3.5e-7, 2.0e-7, 1.0e-9
+# Seconds on one core to begin, for a path and interval, for a body more of it, massless or not, and
+# for a look at it; an inertial one is divided where the flow turns by more than _SHORT in it.
+_BEGIN, _PATH, _BODY, _INERTIAL, _LOOK, _SHORT = 2.5, 1.0e-7, 1.7e-7, 1.2e-6, 8.0e-8, 0.08
+_SAMPLED = 16  # paths that are read to know how long it takes
 
 
 def ensemble_command(job: Job) -> int:
@@ -326,7 +328,15 @@ def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
     cells = float(ensemble.paths * intervals)
     looks = ensemble.paths * len(ensemble.looks) * bodies * len(ensemble.names) / 3.0
     read = cells * ensemble.series.samples.shape[-1] * ensemble.series.samples.dtype.itemsize
-    work = cells * (_PATH + bodies * _BODY) + looks * _LOOK + read * _BYTE
+    inertial = sum(map(turns_with_inertia, ensemble.bodies))
+    parts = max(1.0, ensemble.rate * float(np.diff(ensemble.series.times).mean()) / _SHORT)
+    turning = (bodies - inertial) * _BODY + inertial * _INERTIAL * parts
+    begin = time.perf_counter()
+    ensemble.series.read(0, min(_SAMPLED, ensemble.paths))
+    reading = (time.perf_counter() - begin) / min(_SAMPLED, ensemble.paths)
+    work = cells * (_PATH + turning) + looks * _LOOK + reading * ensemble.paths
+    if ensemble.settings.sampling:  # half of the samples again, for a block
+        work *= 1.0 + 1.5 / ensemble.blocks
     return {
         "paths": ensemble.paths,
         "samples": intervals + 1,
@@ -335,7 +345,7 @@ def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
         "bytes_read": read,
         "bytes_on_disk": ensemble.bytes_of_sums
         + 8 * 3 * bodies * len(ensemble.looks) * min(ensemble.settings.keep, ensemble.paths),
-        "seconds": {str(p): work / p for p in sorted({1, ranks, 64})},
+        "seconds": {str(p): _BEGIN + work / p for p in sorted({1, ranks, 64})},
     }
 
 

@@ -46,10 +46,10 @@ _DECADES = -6.0, 3.0
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Bodies along all paths of a series, free of forces and without inertia.
+    """Bodies along all paths of a series, free of forces.
 
-    axes: None, at random for each path, or (3,) or (paths, 3) at the start. tolerance: error
-    accepted of each axis at the end.
+    axes: None, at random for each path, or (3,) or (paths, 3) at the start, where bodies with
+    inertia turn with the flow. tolerance: error accepted of each axis at the end.
     """
 
     bodies: tuple[Body, ...]
@@ -64,10 +64,12 @@ class Ensemble:
         """Raises SceneError for what cannot be followed."""
         for body in self.bodies:
             body.check_size()
-            if np.any(body.stokes_number):
-                raise SceneError(
-                    "body.stokes_number", "is not 0", "0: bodies of ensembles are massless"
-                )
+            if np.ndim(body.stokes_number):
+                right = "a number: bodies that differ are bodies of their own"
+                raise SceneError("body.stokes_number", "is an array", right)
+            if turns_with_inertia(body) and (self.settings.stresses or self.brownian):
+                right = "0: stresses and Brownian turns along paths are those of massless bodies"
+                raise SceneError("body.stokes_number", f"is {body.stokes_number:g}", right)
         if not self.bodies:
             raise SceneError("bodies", "are none", "one body at least")
         if not 0.0 < self.tolerance <= 0.1:
@@ -130,12 +132,20 @@ class Ensemble:
         """The same with the laws of the bodies, formed now."""
         laws = []
         for body in self.bodies:
-            m = body.formed(1, None, workshop)[0].model
-            own = [m.faxen.linear, m.faxen.rest, m.error_estimate]
+            inertial = turns_with_inertia(body)
+            m = body.formed(1, "surface" if inertial else None, workshop)[0].model
+            own = [m.faxen.linear, m.faxen.rest, 0.0, 0.0, 0.0, m.error_estimate]
+            if inertial:
+                across, _, along = m.shape.inertia.tolist()
+                pulls = (
+                    m.resistance.rotation_transverse / across,
+                    m.resistance.rotation_axial / along,
+                )
+                own[2:5] = *np.array(pulls) / body.stokes_number, along / across
             if self.settings.stresses:
                 p, error = particle_of(body, workshop)
                 kt = self.diffusivity * p.resistance
-                own[2] = max(own[2], error)
+                own[5] = max(own[5], error)
                 own += [float(s) for s in (*p.stresslet, 3.0 * kt * p.linear) / np.array(p.volume)]
             laws.append(own)
         return replace(self, given_laws=np.array(laws))
@@ -147,9 +157,9 @@ class Ensemble:
 
     @cached_property
     def laws(self) -> Array:
-        """lambda, 1/2 - |lambda|/2 and the estimated relative error of each body, (B, 3).
+        """lambda, 1/2 - |lambda|/2, r, r', g (`inertial_paths`, or 0) and estimated errors, (B, 6).
 
-        With stresses (B, 7): S0, S1, S2 and 3 kT lambda over the volume as well.
+        With stresses (B, 10): S0, S1, S2 and 3 kT lambda over the volume as well.
         """
         given = self.given_laws
         return self.with_laws(Workshop()).laws if given is None else given
@@ -208,14 +218,15 @@ class Ensemble:
         slenderness = np.maximum(
             *(r := np.array([body.effective_ratio for body in self.bodies]), 1.0 / r)
         )
-        tolerances = self.tolerance / (slenderness * (series.times[-1] - series.times[0]))
+        span = float(series.times[-1] - series.times[0])
+        tolerances = self.tolerance / (slenderness * span)
         axes = np.repeat(self.starts(first, stop)[:, None], b, axis=1)
         keep = min(n, self.settings.keep) if number == 0 and series is self.series else 0
         kept, instants = np.empty((keep, len(looks), b, 3)), np.empty((len(looks), b, q, 2))
         moments, rates = np.zeros((n, b, q, MOMENTS)), np.zeros((n, 2))
         counts = np.zeros((b, q, bins + 2), dtype=np.int64)
         origins, products = np.zeros((n, b, 3)), np.zeros((b, len(self.lags), 2))
-        numbers = np.ascontiguousarray(self.laws[:, 3:]).reshape(-1, 4)
+        numbers = np.ascontiguousarray(self.laws[:, 6:]).reshape(-1, 4)
         stresses = np.zeros((n, b, 13 if len(numbers) else 0))
         diffusivity = self.diffusivity if series is self.series else 0.0
         seed = 0 if self.brownian is None else self.brownian.seed
@@ -224,15 +235,18 @@ class Ensemble:
             low_sample = int(windows[part][0])
             end_sample = int(windows[part][-1]) + weights.shape[2]
             samples = series.read(first, stop, low_sample, end_sample)
+            if begin == 0:
+                spins = self._with_flow(samples[:, 0], axes)
             here = places[part]
             seen = np.zeros((len(here), b, q, 2))
             axes_seen = np.empty((keep, len(here), b, 3))
             follow_axes(
                 samples,
-                (windows[part] - low_sample, weights[part], lengths[part]),
+                (windows[part] - low_sample, weights[part], lengths[part], span),
                 self.laws,
                 tolerances,
                 axes,
+                spins,
                 path_statistics.Wanted(here, q, self.floor, bins / (high - low), lags, numbers),
                 path_statistics.Sums(moments, rates, counts, seen, origins, products, stresses),
                 axes_seen,
@@ -256,6 +270,17 @@ class Ensemble:
             sums["stresses"] = np.stack([columns.sum(axis=0), (columns**2).sum(axis=0)])
             sums["power_with_strain"] = np.einsum("pb,p->b", columns[..., -1], rates[:, 0])
         return (sums | {"axes": kept} if keep else sums), axes
+
+    def _with_flow(self, gradients: Array, axes: Array) -> Array:
+        """Rates dp/dt and spins about p of axes (n, B, 3) that turn with the flow, (n, B, 4)."""
+        a = gradients.reshape(-1, 1, 3, 3)
+        linear, rest = self.laws[:, 0, None, None], self.laws[:, 1, None, None]
+        back = np.swapaxes(a, 2, 3)
+        turning = rest * (a - back) + linear * np.where(linear < 0.0, back, a)
+        rates = (turning @ axes[..., None])[..., 0]
+        rates -= np.sum(rates * axes, axis=-1, keepdims=True) * axes
+        curl = np.stack([a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+        return np.concatenate([rates, 0.5 * np.sum(curl * axes, axis=-1, keepdims=True)], axis=-1)
 
     def sampling(self) -> dict[str, Any]:
         """What the spacing of the samples leaves of the axes at the end, by the first block.
@@ -329,10 +354,15 @@ class Ensemble:
                 "vorticity_squared": vorticity,
                 "trace": self.series.trace,
                 "tolerance": self.tolerance,
-                "model_error_estimate": float(self.laws[:, 2].max()),
+                "model_error_estimate": float(self.laws[:, 5].max()),
                 "sampling": dict(sampling or {}),
             },
         )
+
+
+def turns_with_inertia(body: Body) -> bool:
+    """Whether its rotation has inertia."""
+    return bool(np.any(body.stokes_number)) and body.inertia != "translation"
 
 
 def added(total: Sums, more: Sums) -> Sums:
