@@ -11,6 +11,7 @@ import pytest
 import qbxstokes as qs
 from qbxstokes.case.load import load_case
 from qbxstokes.errors import CaseError, SceneError
+from qbxstokes.runs.report import shape_text
 from qbxstokes.simulation.from_case import times_of
 
 SHEAR = {"type": "shear"}
@@ -162,7 +163,9 @@ def test_what_makes_no_body_is_told_in_a_line(keys: dict[str, Any], told: str) -
 
 
 def test_a_body_by_length_over_diameter_or_shape() -> None:
-    assert qs.Body(length_over_diameter=5.0).shape.aspect_ratio == 0.2
+    rod = qs.Body(length_over_diameter=5.0)
+    assert rod.shape.aspect_ratio == 0.2
+    assert shape_text(rod.shape) == "prolate spheroid, k = 0.2 (L/D = 5)"
     assert qs.Body(shape=qs.Spheroid(3.0)).shape.aspect_ratio == 3.0
 
 

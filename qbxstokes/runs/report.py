@@ -65,7 +65,8 @@ def shape_text(shape: Shape) -> str:
     k = shape.aspect_ratio
     if k == 1:
         return "sphere, k = 1"
-    return f"{'prolate' if k < 1 else 'oblate'} spheroid, k = {quantity(k)}"
+    kind = "prolate" if k < 1 else "oblate"
+    return f"{kind} spheroid, k = {quantity(k)} (L/D = {quantity(1.0 / k)})"
 
 
 def vector(values: Iterable[float], scale: float = 0.0) -> str:
