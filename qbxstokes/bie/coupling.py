@@ -46,9 +46,10 @@ Coefficients = Sequence[ComplexArray]
 # edge to edge fall slower, by exp(-SLOW a) a node.
 FACTOR, SLOW = 400.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
-# Polar nodes that the grids of an error estimate have less, and the relative error, in tolerances
-# of the problem, that both solutions may have in common.
-_LESS, _SHARED = 2, 0.1
+# Polar nodes that the grids of an error estimate have less, the relative error that both solutions
+# may have in common, and that of sums at mirrored points, where second derivatives count: in
+# tolerances of the problem.
+_LESS, _SHARED, _MIRRORED = 2, 0.01, 0.1
 # Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
 KEPT_NUMBERS = 1.5e8
 
@@ -207,8 +208,8 @@ class Coupled:
         """Estimated largest error of what was found here, by what the coarser grids found.
 
         Errors fall by exp(-SLOW times the least rate) a node, or faster: near contact, where that
-        is slow, the difference is taken times what remains of it. Besides the solver's tolerance,
-        which both share, of what was found or of a larger size that it is made of.
+        is slow, the difference is taken times what remains of it. Besides a little of the
+        tolerance, which both may share, of what was found or of a larger size it is made of.
         """
         change = float(np.abs(fine - coarse).max(initial=0.0))
         if change == 0.0:  # what is given, not found
@@ -269,12 +270,12 @@ class Coupled:
 
     def table_at(self, c: int, points: Array, mirrored: bool) -> Table:
         """Harmonics of body c at points of space, or at their mirror images."""
+        tolerance, one = self.tolerance, self.maps[c]
         if mirrored:
             assert self.wall is not None
-            points = self.wall.mirrored(points)
+            points, tolerance = self.wall.mirrored(points), _MIRRORED * tolerance
         x = self.bodies[c].to_body(points)
-        one = self.maps[c]
-        return one.harmonics.table(x, one.degree_for(x, self.tolerance), mirrored)
+        return one.harmonics.table(x, one.degree_for(x, tolerance), mirrored)
 
     def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
         """Velocity (N, 3), in space, of body c's own flow at points of space."""

@@ -87,6 +87,39 @@ class FlowAround:
         """Points (N, 3) of space in the body frame."""
         return np.asarray((points - self.position) @ self.rotation)
 
+    @property
+    def slip(self) -> float:
+        """Largest slip on the surface, relative to the largest disturbance."""
+        return self.disturbance.boundary_error / (self.disturbance.scale or 1.0)
+
+    def check_points(self, count: int) -> Array:
+        """Random points (count, 3) of space, from the surface to far away."""
+        return self.disturbance.check_points(count) @ self.rotation.T + self.position
+
+    def differences(self, points: Array) -> Array:
+        """Difference (N,) of the velocity by table and by QBX at points (N, 3) of space."""
+        return self.disturbance.differences(self.to_body(points))
+
+    @property
+    def state(self) -> dict[str, Array]:
+        """Motion of the body, and force and torque ON it, in space."""
+        own = self.disturbance
+        # Without negative zeros.
+        return {
+            "velocity": self.rotation @ own.body_velocity,
+            "angular_velocity": self.rotation @ own.angular_velocity,
+            "force": 0.0 - self.rotation @ own.force,
+            "torque": 0.0 - self.rotation @ own.torque,
+        }
+
+    @property
+    def scales(self) -> dict[str, float]:
+        """Sizes that velocity, force and torque are made of: what rounding is relative to."""
+        points = self.disturbance.grid.points
+        speed = float(np.linalg.norm(self.disturbance.background(points), axis=-1).max())
+        speed = max(speed, self.disturbance.scale)
+        return sizes(speed, self.disturbance.grid.shape.radius)
+
     def evaluate(
         self,
         points: Array,
@@ -160,6 +193,16 @@ class FlowAround:
         space = body_points @ self.rotation.T + self.position
         background = self.flow.velocity(space, self.time) @ self.rotation
         return np.asarray(u + background - self.disturbance.rigid(body_points))
+
+
+def sizes(speed: float, length: float) -> dict[str, float]:
+    """Sizes of a motion and its drag at a speed and a length."""
+    return {
+        "velocity": speed,
+        "angular_velocity": speed / length,
+        "force": 6.0 * np.pi * length * speed,
+        "torque": 8.0 * np.pi * length**2 * speed,
+    }
 
 
 def resistance_disturbance(

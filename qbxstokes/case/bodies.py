@@ -121,7 +121,14 @@ def _entry(names: tuple[str, ...], row: list[float]) -> dict[str, Any]:
 _FOREIGN = {
     "constraints": "leave it out: all bodies are free",
     "rheology": "leave it out, or use one body in an unbounded fluid",
-    "field": "leave it out; qs.Suspension(...).field gives the flow at points",
+}
+_FIELD = {
+    "shells": "leave it out: they are those of one body",
+    "streamlines": "leave it out: pictures of a plane draw them",
+    "tracers": "leave it out",
+    "method": "leave it out: harmonics of all bodies",
+    **dict.fromkeys(("force", "torque"), "give it in the section forces"),
+    **dict.fromkeys(("velocity", "angular_velocity"), "leave it out: free or held"),
 }
 _TOLERANT = {
     "hydrodynamics": ("tolerance", "solve", "cache"),
@@ -144,7 +151,7 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     many = not walled or (isinstance(data.get("bodies"), (list, tuple)) and len(data["bodies"]) > 1)
     if data.get("bodies"):
         bodies = data["bodies"] if isinstance(data["bodies"], list) else []
-        if task == "body" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
+        if task != "motion" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
             raise Problem("hold a stokes_number", "none: nothing moves", ("bodies",))
         for name in ("body", "start"):
             if data.get(name):
@@ -168,13 +175,35 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     elif isinstance(given, dict) and given["solve"] == "functional" and many:
         right = "every_step: a table is one of a single body by a wall"
         raise Problem("has no meaning for several bodies", right, ("hydrodynamics", "solve"))
-    for section in ("hydrodynamics", "time"):
+    for section in ("hydrodynamics", "time", "field"):
         given = data.get(section)
         if given is None and section == "hydrodynamics":
             given = {}
         if isinstance(given, dict) and "tolerance" not in given:
-            data[section] = {**given, "tolerance": TOLERANCE}
+            inherited = data["hydrodynamics"]["tolerance"] if section == "field" else TOLERANCE
+            data[section] = {**given, "tolerance": inherited}
+    if isinstance(data.get("field"), dict):
+        data["field"] = _field(data["field"], bool(data.get("bodies")))
     return data
+
+
+def _field(given: dict[str, Any], listed: bool) -> dict[str, Any]:
+    """Section `field` of bodies that share a fluid, whose points are in space where listed."""
+    wrong = "has no meaning with a wall or several bodies"
+    for name, right in _FIELD.items():
+        if given.get(name) is not None and (name != "shells" or listed):
+            raise Problem(wrong, right, ("field", name))
+    if given.get("body") == "moving":
+        raise Problem(wrong, "free, with the section forces, or held", ("field", "body"))
+    found = dict(given)
+    for name in ("plane", "box", "points") if listed else ():
+        points = {} if name in given and given[name] is None else given.get(name)
+        if not isinstance(points, dict):
+            continue
+        if points.get("frame", "space") != "space":
+            raise Problem("is not space", "space: bodies share it", ("field", name, "frame"))
+        found[name] = {**points, "frame": "space"}
+    return found
 
 
 def check_members(members: Sequence[BodyEntry], forces: Forces, listed: bool) -> None:

@@ -43,7 +43,6 @@ _FOREIGN = {
         "leave it out: the flow at one instant knows no inertia": "body.stokes_number body.inertia",
         "leave it out: it chooses among the samples of a motion": "output.fields",
         "leave it out, or use task: rheology": "rheology",
-        "leave it out: qs.Suspension(...).field gives that flow": "bodies surroundings",
     },
     "rheology": {
         "leave it out: the suspension is dilute": "bodies surroundings",

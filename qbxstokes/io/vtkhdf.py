@@ -46,7 +46,7 @@ def export(result: h5py.File, path: Path, folder: Path | None = None) -> Path:
                 continue
             if name in ("tracers", "error"):
                 continue  # on instants of their own, and a sample of the plane
-            polygonal = name in ("surface", "streamlines")
+            polygonal = name.startswith("surface") or name == "streamlines"
             kind = "PolyData" if polygonal else "UnstructuredGrid"
             part = _typed(root, name, kind)
             part.attrs["Index"] = np.int64(len(writers))
@@ -82,7 +82,7 @@ def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, 
         return lines.reshape(-1, 3), index, 0, {"line": number}
     points = inner["points"][step]
     shape = tuple(int(n) for n in inner.attrs["shape"])
-    closed = name in ("surface", "shells")
+    closed = name.startswith("surface") or name == "shells"
     cells, kind = _cells(shape, closed)
     data = {}
     for key, values in inner.items():

@@ -34,7 +34,7 @@ class CoupledSolver:
     ) -> None:
         self.problem, self.free = problem, free
         self.comm = PETSc.COMM_SELF if comm is None else comm
-        self.iterations: list[int] = []
+        self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
         self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
         self._matrix.setUp()
@@ -67,17 +67,18 @@ class CoupledSolver:
         ksp: Any = self._ksp
         self._rhs.setArray(self.problem.joined(data))
         if self._rhs.norm() == 0.0:
+            self.latest = 0, 0.0
             return np.zeros(self.problem.size)
         ksp.setInitialGuessNonzero(guess is not None)
         if guess is not None:
             self._solution.setArray(guess)
         ksp.solve(self._rhs, self._solution)
-        self.iterations.append(ksp.getIterationNumber())
+        steps, left = ksp.getIterationNumber(), ksp.getResidualNorm() / self._rhs.norm()
+        self.latest = steps, float(left)
         if ksp.getConvergedReason() <= 0:
-            left = ksp.getResidualNorm() / self._rhs.norm()
             raise ConvergenceError(
                 f"GMRES on {len(self.problem.bodies)} coupled bodies stopped after "
-                f"{self.iterations[-1]} iterations at the relative residual {left:.1e} (reason "
+                f"{steps} iterations at the relative residual {left:.1e} (reason "
                 f"{ksp.getConvergedReason()}): loosen the tolerance, or move bodies apart"
             )
         return np.array(self._solution.getArray(readonly=1))

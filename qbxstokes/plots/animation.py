@@ -7,8 +7,7 @@ where the centre goes anywhere, once more whole in a panel beside it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import TYPE_CHECKING, Any
@@ -21,10 +20,13 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.plots import style
 from qbxstokes.plots.between import axis_path, between
+from qbxstokes.plots.bodies import coupled, wall_of
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.path import draw_path, plane_of_motion
 from qbxstokes.plots.series import moves
 from qbxstokes.plots.source import ResultLike, instants, samples, shape_of, vectors
+from qbxstokes.plots.surfaces import SHADES, colours, lit, mesh
+from qbxstokes.plots.together import SceneView, one_of
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -39,9 +41,6 @@ _FRAMES = (60, 360)  # least and most frames where their number is not given
 _DPI = 120
 _SIDE = 4.2  # inches of the picture
 _VIEW = Camera(-62.0, 28.0)
-_LIGHT = np.array([-0.45, 0.65, 0.61])  # right, up, towards the viewer
-_SECTORS = 4  # of longitude, in two shades, so that the turning about the axis is seen
-_SHADES = ("#3f8fc0", "#d8e6ef")
 
 
 @dataclass(frozen=True)
@@ -102,21 +101,12 @@ class Frames:
         return cls(at, position, turned, path_times, path)
 
 
-def _lit(shade: NDArray[np.intp], light: Array) -> Array:
-    """Colours (n, 3) of surface in the shades (n,) where light (n,) in [0, 1] falls on it."""
-    from matplotlib.colors import to_rgb
-
-    base = np.array([to_rgb(color) for color in _SHADES])[shade]
-    colors: Array = base * (0.5 + 0.5 * light[:, None]) + 0.25 * light[:, None] ** 12
-    return np.clip(colors, 0.0, 0.96)
-
-
 def _palette() -> list[int]:
     """The 256 colours of a GIF: the surface in all lights, and lines fading into white."""
     from matplotlib.colors import to_rgb
 
     light = np.linspace(0.0, 1.0, 80)
-    surface = [_lit(np.full(len(light), shade), light) for shade in range(len(_SHADES))]
+    surface = [lit(np.full(len(light), shade), light) for shade in range(len(SHADES))]
     lines = (style.BLACK, style.GREY, style.BLUE, style.PALE_BLUE, style.VERMILION)
     fade = np.linspace(0.0, 1.0, 16)[:, None]
     faded = [fade + (1.0 - fade) * np.array(to_rgb(color)) for color in lines]
@@ -133,7 +123,7 @@ class View:
 
         self._axes, self._motion, self._camera = axes, motion, camera
         self._size = shape.radius
-        self._shape = shape
+        self._mesh = mesh(shape)
         self._reach = 1.35 * self._size
         limit = 1.12 * self._reach
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
@@ -159,20 +149,6 @@ class View:
         self._draw_triad()
         self.show(0)
 
-    @cached_property
-    def _mesh(self) -> tuple[Array, Array, Array]:
-        """Corners (n, 4, 3), normals (n, 3) and shade (n,) of the facets, in the body frame."""
-        theta = np.linspace(0.0, np.pi, 31)
-        phi = np.linspace(0.0, 2.0 * np.pi, 61)
-        corners = self._shape.surface(theta[:, None], phi[None, :])
-        facets = np.stack(
-            [corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=2
-        ).reshape(-1, 4, 3)
-        middle = 0.5 * (theta[1:] + theta[:-1]), 0.5 * (phi[1:] + phi[:-1])
-        normals = self._shape.normal(middle[0][:, None], middle[1][None, :]).reshape(-1, 3)
-        sector = np.floor(middle[1] / (2.0 * np.pi) * _SECTORS).astype(int) % 2
-        return facets, normals, np.tile(sector, len(middle[0])).astype(float)
-
     def show(self, frame: int) -> None:
         """The scene at a frame."""
         motion, camera = self._motion, self._camera
@@ -195,8 +171,7 @@ class View:
         facets, normals, shade = self._mesh
         seen = normals @ turn.T @ self._camera.frame.T
         front = seen[:, 2] > -0.05
-        light = np.clip(seen[front] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
-        colors = _lit(shade[front].astype(int), light)
+        colors = colours(shade[front], seen[front])
         # From the back to the front, so that facets at the rim do not cover nearer ones.
         order = np.argsort(seen[front, 2], kind="stable")
         self._body.set_verts(list(self._camera.project(facets[front][order] @ turn.T)))
@@ -325,6 +300,8 @@ def animate(
 
     Raises CaseError and ResultFileError where the file does not hold what is needed.
     """
+    if coupled(result):
+        return _animate_together(result, frames, fps, window, camera)
     motion = Frames.of(result, frames, window)
     beside = moves(result)
     width = 2.0 * _SIDE if beside else _SIDE
@@ -341,6 +318,31 @@ def animate(
             place(frame)
 
     return Film(figure, show, len(motion.times), fps)
+
+
+def _animate_together(
+    result: ResultLike,
+    frames: int | None,
+    fps: int,
+    window: tuple[float, float] | None,
+    camera: Camera,
+) -> Film:
+    """The animation of several bodies, or of one by a wall."""
+    if "position" not in result.arrays or "orientation" not in result.arrays:
+        raise CaseError(f"{result.path}: holds no position and orientation to animate")
+    count = result.arrays["position"].shape[1] if result.arrays["position"].ndim == 3 else 1
+    alone = [one_of(result, body) for body in range(count)]
+    if frames is None:
+        frames = max(len(Frames.of(one, None, window).times) for one in alone)
+    motions = [Frames.of(one, frames, window) for one in alone]
+    wall = wall_of(result)
+    if wall is not None and abs(wall[0][1]) > 0.7:  # a floor, or a ceiling, of a shear
+        camera = replace(camera, azimuth=camera.azimuth + 90.0, up=1)
+    with style.styled():
+        figure = _blank(_SIDE)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        scene = SceneView(axes, result, motions, camera)
+    return Film(figure, scene.show, frames, fps)
 
 
 def _blank(width: float) -> Figure:

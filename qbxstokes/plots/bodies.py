@@ -96,7 +96,7 @@ def _by_body(result: ResultLike, name: str) -> Array:
     return values
 
 
-def _outlines(result: ResultLike, count: int) -> list[tuple[Any, float]]:
+def outlines(result: ResultLike, count: int) -> list[tuple[Any, float]]:
     """Shape and size of every body; raises ResultFileError where the file does not say."""
     case = resolved_case(result)
     entries = case.get("bodies") or [case.get("body") or {}]
@@ -117,7 +117,7 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
     whole = np.flatnonzero(np.isfinite(position).all(axis=(1, 2)))
     position, axis = position[whole], axis[whole]
     along, across = _plane(result, position)
-    bodies = _outlines(result, position.shape[1])
+    bodies = outlines(result, position.shape[1])
     for b, (shape, size) in enumerate(bodies):
         look = style.line_style(b)
         path = position[:, b, [along, across]]
@@ -125,9 +125,9 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
         axes.plot(*path.T, label=name, **look)
         for place, filled in ((0, False), (-1, True)):
             edge = path[place] + _edge(shape, size, axis[place, b], [along, across])
-            face = look["color"] if filled else "white"
+            face = look["color"] if filled else "none"
             axes.fill(*edge.T, facecolor=face, edgecolor=look["color"], alpha=0.5, linewidth=0.8)
-    _draw_wall(axes, result, along, across)
+    draw_wall(axes, result, *np.eye(3)[[along, across]])
     parts = MOTION["position"].symbols
     axes.set_xlabel(style.label(f"${parts[along]}$", units(result, "position")))
     axes.set_ylabel(style.label(f"${parts[across]}$", units(result, "position")))
@@ -156,14 +156,32 @@ def _edge(shape: Any, size: float, axis: Array, plane: list[int]) -> Array:
     return np.asarray((matrix @ m / np.sqrt(np.einsum("ik,ij,jk->k", m, matrix, m))).T)
 
 
-def _draw_wall(axes: Axes, result: ResultLike, along: int, across: int) -> None:
-    """The wall where the plane that is drawn holds its normal."""
+def wall_of(result: ResultLike) -> tuple[Array, Array] | None:
+    """Unit normal and a point of the wall, None where there is none."""
     around = resolved_case(result).get("surroundings") or {}
     if around.get("type") != "wall":
+        return None
+    normal = np.array(around["normal"], dtype=np.float64)
+    return normal / np.linalg.norm(normal), np.array(around["point"], dtype=np.float64)
+
+
+def draw_wall(
+    axes: Axes, result: ResultLike, first: Array, second: Array, origin: Array | None = None
+) -> None:
+    """The wall where the plane that is drawn, through an origin, holds its normal."""
+    wall = wall_of(result)
+    if wall is None:
         return
-    normal, point = np.array(around["normal"]), np.array(around["point"])
-    flat = normal[[along, across]] / np.linalg.norm(normal)
+    from matplotlib.patches import Polygon
+
+    flat = np.array([wall[0] @ first, wall[0] @ second])
     if np.linalg.norm(flat) < 1.0 - 1e-9:
         return
-    foot = (point @ normal / np.linalg.norm(normal)) * flat
+    foot = ((wall[1] - (0.0 if origin is None else origin)) @ wall[0]) * flat
     axes.axline(foot, foot + np.array([-flat[1], flat[0]]), color=style.BLACK, linewidth=1.5)
+    # Hatched behind, as far as is seen.
+    deep = foot - 1e3 * flat
+    along = 1e3 * np.array([-flat[1], flat[0]])
+    corners = np.stack([foot - along, foot + along, deep + along, deep - along])
+    look: Any = {"facecolor": "white", "edgecolor": style.GREY, "hatch": "///", "linewidth": 0.0}
+    axes.add_artist(Polygon(corners, zorder=3.5, **look))

@@ -18,10 +18,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """Looks at the origin from the direction (azimuth, elevation), in degrees, with x3 upwards."""
+    """Looks at the origin from the direction (azimuth, elevation), in degrees, with x3 upwards.
+
+    up: another coordinate (0, 1, 2) upwards; azimuths then go round it.
+    """
 
     azimuth: float = 25.0
     elevation: float = 22.0
+    up: int = 2
 
     @cached_property
     def frame(self) -> Array:
@@ -29,7 +33,7 @@ class Camera:
         a, e = np.radians(self.azimuth), np.radians(self.elevation)
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-        return np.stack([right, np.cross(towards, right), towards])
+        return np.roll(np.stack([right, np.cross(towards, right), towards]), self.up - 2, axis=1)
 
     def project(self, points: ArrayLike) -> Array:
         """Coordinates on paper (..., 2) of points (..., 3)."""

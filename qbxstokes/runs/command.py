@@ -190,13 +190,12 @@ def carry_out(job: Job) -> int:
         return 0
     run: Callable[[Job], dict[str, Any]]
     with job.clock.part("import"):
-        if loaded.case.coupled:
-            if loaded.case.task == "motion":
-                from qbxstokes.runs.coupled_motion import run_motion as run
-            else:
-                from qbxstokes.runs.coupled import run_coupled as run
-        elif loaded.case.task == "field":
+        if loaded.case.task == "field":
             from qbxstokes.runs.field import run_field as run
+        elif loaded.case.coupled and loaded.case.task == "motion":
+            from qbxstokes.runs.coupled_motion import run_motion as run
+        elif loaded.case.coupled:
+            from qbxstokes.runs.coupled import run_coupled as run
         elif loaded.case.task == "body":
             from qbxstokes.runs.body import run_body as run
         elif loaded.case.task == "rheology":

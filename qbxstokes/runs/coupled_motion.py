@@ -1,14 +1,16 @@
 """`task: motion` of several bodies, or of one by a wall: from the case to the result file.
 
-Rank 0 integrates; the other ranks take part in every problem that it poses (`Crew`).
+Rank 0 integrates; the other ranks take part in every problem that it poses, and then in its field.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.io.cache import open_cache
+from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc.coupled import over
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.motion import followed, recorded
@@ -40,11 +42,16 @@ def run_motion(job: Job) -> dict[str, Any]:
         shared = team.join(BODIES)
         if comm.size > 1:
             scene.herald = shared.bcast
+
+        def dismiss() -> None:
+            """No more problems for the other ranks."""
+            if scene.herald is not None:
+                scene.herald = scene.herald(None)
+
         try:
-            return _computed(job, recording, scene.assemble())
+            return _computed(job, recording, scene.assemble(), team, dismiss)
         finally:
-            if comm.size > 1:
-                shared.bcast(None)
+            dismiss()
 
     def help_with_bodies() -> None:
         scene = coupled_of(loaded, over(comm))
@@ -55,12 +62,24 @@ def run_motion(job: Job) -> dict[str, Any]:
             except QbxStokesError:
                 continue  # rank 0 meets the same, and tells it
 
+    def help_with_field(*arguments: Any) -> None:
+        from qbxstokes.runs import field
+
+        field.help_with_field(job, *arguments)
+
     job.interruption.patient = comm.rank != 0
-    return on_root(comm, with_team(comm, compute, {BODIES: help_with_bodies}))
+    services = {BODIES: help_with_bodies, "field": help_with_field}
+    return on_root(comm, with_team(comm, compute, services))
 
 
-def _computed(job: Job, recording: Recording, assembled: Together) -> dict[str, Any]:
-    """The motion of the bodies; returns the summary."""
+def _computed(
+    job: Job,
+    recording: Recording,
+    assembled: Together,
+    team: RowTeam,
+    dismiss: Callable[[], None],
+) -> dict[str, Any]:
+    """The motion of the bodies; returns the summary. dismiss: ends the service of problems."""
     with job.clock.part("motion"), pointed(job.loaded):
         watch = assembled.watch()
 
@@ -75,4 +94,15 @@ def _computed(job: Job, recording: Recording, assembled: Together) -> dict[str, 
             "largest_error": 0.0,
         }
 
-    return followed(job, recording, assembled, watch, told, lambda *_: None)
+    def conclude(summary: dict[str, Any], samples: Mapping[str, Any], writer: ResultWriter) -> None:
+        if job.loaded.case.field is None or not summary["complete"]:
+            return
+        from qbxstokes.runs.field import export_field, field_of_motion
+
+        dismiss()
+        times, work = samples["time"], recording.work
+        found = field_of_motion(job, times, samples, writer, assembled, team, work)
+        found["files"] = export_field(job.loaded, job.clock, writer.file, work)
+        summary["field"] = found
+
+    return followed(job, recording, assembled, watch, told, conclude)

@@ -20,6 +20,12 @@ from qbxstokes.runs.report import (
 )
 
 _MANY = 6  # bodies that are told one by one
+# What errors are relative to, or of.
+ABOUT = {
+    "resistance": "of the largest entry",
+    "no slip": "largest slip on a surface, which bounds the error of the velocity",
+    "coarser grids": "change of the velocity at points from the surfaces to far away",
+}
 
 
 def scene(loaded: LoadedCase) -> Rows:
@@ -43,7 +49,10 @@ def sections(summary: Mapping[str, Any]) -> dict[str, Rows]:
     return {
         "Solved": _solved(summary),
         "Found": _found(summary),
-        "Estimated errors": _errors(summary.get("error_estimates") or summary["velocity_errors"]),
+        "Estimated errors": _errors(
+            (summary.get("error_estimates") or summary["velocity_errors"])
+            | summary.get("field", {}).get("errors", {})
+        ),
     }
 
 
@@ -59,10 +68,10 @@ def _solved(summary: Mapping[str, Any]) -> Rows:
         )
         solves = counted(summary["solves"], "solve")
         yield "GMRES", f"{solves}, {counted(summary['iterations'], 'iteration')} in all"
+        if "field" in summary:
+            yield "field", ", ".join(f"{n} {p}" for p, n in summary["field"]["points"].items() if n)
         return
-    nodes = summary["nodes"]
-    least, most = min(nodes), max(nodes)
-    yield "grids", f"{least if least == most else f'{least} to {most}'} polar nodes"
+    yield "grids", grids(summary["nodes"])
     yield "GMRES", counted(summary["iterations"], "iteration") + " for the free bodies"
     if isfinite(summary["gap"]):
         yield "least gap", f"{quantity(summary['gap'])}: {summary['nearest']}"
@@ -73,14 +82,22 @@ def _found(summary: Mapping[str, Any]) -> Rows:
         yield from _seen(summary)
     names = "free_velocity", "free_angular_velocity", "held_force", "held_torque"
     for name in names:
-        values = summary.get(name)
-        if values is None:
-            continue
-        rows = values if values.ndim == 2 else values[None]
-        for number, row in enumerate(rows[:_MANY], start=1):
-            label = name.replace("_", " ") if number == 1 else ""
-            who = f"body {number}: " if values.ndim == 2 else ""
-            yield label or " ", f"{who}({vector(row)})"
+        if summary.get(name) is not None:
+            yield from of_each(name.replace("_", " "), summary[name])
+
+
+def of_each(name: str, values: Any, scale: float = 0.0) -> Rows:
+    """A vector of every body (N, 3), or of one (3,)."""
+    rows = values if values.ndim == 2 else values[None]
+    for number, row in enumerate(rows[:_MANY], start=1):
+        who = f"body {number}: " if values.ndim == 2 else ""
+        yield name if number == 1 else " ", f"{who}{vector(row, scale)}"
+
+
+def grids(nodes: list[int]) -> str:
+    """Polar nodes of the bodies."""
+    least, most = min(nodes), max(nodes)
+    return f"{least if least == most else f'{least} to {most}'} polar nodes"
 
 
 def _seen(summary: Mapping[str, Any]) -> Rows:
@@ -102,5 +119,5 @@ def _seen(summary: Mapping[str, Any]) -> Rows:
 
 def _errors(errors: Mapping[str, float]) -> Rows:
     for name, value in errors.items():
-        about = "of the largest entry" if name == "resistance" else ""
+        about = ABOUT.get(name, "")
         yield name.replace("_", " "), f"{error_text(value):9}{about}"

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.field import Disturbance
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry import rotation
@@ -18,16 +17,16 @@ from qbxstokes.io import field as store
 from qbxstokes.io.names import told_by
 from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
+from qbxstokes.quantities import RECORDABLE, of_bodies
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
 from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
-from qbxstokes.runs.plan import plan_field
+from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
 from qbxstokes.runs.rows import ALONE, RowTeam
 from qbxstokes.runs.target import identity_of, working_folder
 from qbxstokes.simulation.around import Instant
-from qbxstokes.simulation.assembly import Assembled
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -61,7 +60,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     section = case.field
     assert section is not None
     # The other ranks plan as rank 0 did, which has found nothing wrong.
-    instant = instant_of(section, (job.plan or plan_field(loaded)).simulation)
+    instant = instant_of(section, (job.plan or plan_of(loaded)).simulation)
     work = FieldWork(job, job.comm, [instant], folder)
     target, identity = folder.target, json.dumps(folder.identity)
     if job.comm.rank != 0:
@@ -73,25 +72,17 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     with ResultWriter(target, case.task, record, replace, folder.folder) as writer:
         facts = work.write(writer)
         around = work.around(instant)
-        disturbance = around.disturbance
-        velocity = around.rotation @ disturbance.body_velocity
-        spin = around.rotation @ disturbance.angular_velocity
-        # On the body, hence opposite to those on the fluid; without negative zeros.
-        force, torque = (
-            0.0 - around.rotation @ vector for vector in (disturbance.force, disturbance.torque)
-        )
-        writer.append(
-            {
-                "time": np.zeros(1),
-                "position": instant.position[None],
-                "orientation": instant.quaternion[None],
-                "axis": rotation.axis(instant.quaternion)[None],
-                "velocity": velocity[None],
-                "angular_velocity": spin[None],
-                "force": force[None],
-                "torque": torque[None],
-            }
-        )
+        state = {
+            "position": instant.position,
+            "orientation": instant.quaternion,
+            "axis": rotation.axis(instant.quaternion),
+            **around.state,
+        }
+        about = {name: RECORDABLE[name] for name in state}
+        if instant.position.ndim > 1:
+            about = {name: of_bodies(q, len(instant.position)) for name, q in about.items()}
+        one = {name: values[None] for name, values in state.items()}
+        writer.append({"time": np.zeros(1), **one}, about)
         if section.tracers is not None:
             with clock.part("tracers"):
                 paths = steady_tracers(around, section, instant)
@@ -100,11 +91,8 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         summary: dict[str, Any] = {
             **job.heading(),
             **facts,
-            "velocity": velocity,
-            "angular_velocity": spin,
-            "force": force,
-            "torque": torque,
-            "scales": _scales(disturbance),
+            **around.state,
+            "scales": around.scales,
             "errors": errors,
             "largest_error": max(errors.values()),
             "wall_times": dict(clock.parts),
@@ -115,26 +103,12 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     return summary
 
 
-def _scales(disturbance: Disturbance) -> dict[str, float]:
-    """Sizes that velocity, force and torque are made of: what rounding in them is relative to."""
-    points = disturbance.grid.points
-    speed = float(np.linalg.norm(disturbance.background(points), axis=-1).max())
-    speed = max(speed, disturbance.scale)
-    length = disturbance.grid.shape.radius
-    return {
-        "velocity": speed,
-        "angular_velocity": speed / length,
-        "force": 6.0 * np.pi * length * speed,
-        "torque": 8.0 * np.pi * length**2 * speed,
-    }
-
-
 def field_of_motion(
     job: Job,
     times: Array,
     samples: Mapping[str, Array],
     writer: ResultWriter,
-    assembled: Assembled,
+    assembled: Any,
     team: RowTeam | None,
     folder: Work,
 ) -> dict[str, Any]:

@@ -64,12 +64,12 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
 
 
 def instant_of(section: FieldSection, start: Simulation) -> Instant:
-    """The body where it starts, free or moving as the section says."""
+    """The body where it starts, free or moving as the section says; the bodies, if several."""
     given = section.body != "free"
     return Instant(
         0.0,
-        start.position[0],
-        start.quaternion[0],
+        start.shaped(start.position),
+        start.shaped(start.quaternion),
         np.array(section.velocity) if given else None,
         np.array(section.angular_velocity) if given else None,
         np.array(section.force),

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import INSIDE, SOURCES
-from qbxstokes.bie.field import FlowAround
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.io import field as store
 from qbxstokes.io.store import Work, check_disk
@@ -111,16 +110,24 @@ class FieldWork:
         self, job: Job, comm: Any, instants: list[Instant], work: Work, key: str = ""
     ) -> None:
         loaded = job.loaded
-        section, body, interval = (
-            loaded.case.field,
-            body_of(loaded),
-            loaded.case.checkpoint.interval,
-        )
+        section, interval = loaded.case.field, loaded.case.checkpoint.interval
         assert section is not None
         every = interval.number if interval.unit == "seconds" else 30.0
         self.comm, self.section, self.clock, self.instants = comm, section, job.clock, instants
         self._interruption, self._key = job.interruption, key
-        self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
+        self.solution: Any
+        if loaded.case.coupled:
+            from qbxstokes.simulation.among import AmongBodies
+            from qbxstokes.simulation.from_bodies import coupled_of
+
+            held = section.body == "held"
+            self.solution = AmongBodies(coupled_of(loaded), section.tolerance, held)
+        else:
+            body = body_of(loaded)
+            self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
+        several = () if loaded.case.bodies is None else loaded.case.bodies
+        # Names of the surfaces in the file, in the order of the bodies.
+        self.surfaces = [f"surface_{b + 1}" for b in range(len(several))] or ["surface"]
         self.targets = targets_of(loaded, section)
         self.plane = next((t for t in self.targets if t.name == "plane"), None)
         self._gathering = Gathering(comm, work, FIELD, every=every, most=MOST)
@@ -148,8 +155,8 @@ class FieldWork:
             self._gathering.drain()
         return self._conclude(group, whole, found)
 
-    def around(self, instant: Instant) -> FlowAround:
-        """The flow around the body at the instant; solved again only for another one."""
+    def around(self, instant: Instant) -> Any:
+        """The `FlowAround` or `FlowAmong` of the instant; solved again only for another one."""
         with self.clock.part("integral equation"):
             return self.solution.at(instant)
 
@@ -164,8 +171,8 @@ class FieldWork:
                 name = self.targets[task.target].name
                 store.put_rows(group[name], task.instant, task.begin, arrays)
             elif arrays:
-                place = task.begin if task.kind == "error map" else task.instant
-                whole[task.kind, place] = arrays
+                part: str = self.surfaces[task.target] if task.kind == "surface" else task.kind
+                whole[part, task.begin if task.kind == "error map" else task.instant] = arrays
 
     def _finished(self) -> list[int]:
         """Numbers of the tasks that parts of earlier runs hold; raises OutputError (disk)."""
@@ -196,7 +203,7 @@ class FieldWork:
             if self.section.streamlines is not None:
                 tasks.append(Task("streamlines", index))
             if self.section.surface is not None:
-                tasks.append(Task("surface", index))
+                tasks += [Task("surface", index, number) for number in range(len(self.surfaces))]
             for number, target in enumerate(self.targets):
                 share = max(SMALLEST_PIECE, -(-target.size // FEWEST_PIECES))
                 tasks += [
@@ -259,11 +266,10 @@ class FieldWork:
     def _do(self, task: Task, found: Found, told: set[int]) -> dict[str, Array]:
         """The arrays of a task; told: instants whose solution this rank has told of."""
         around = self.around(self.instants[task.instant])
-        disturbance = around.disturbance
         if task.instant not in told:
             told.add(task.instant)
             with self.clock.part("table"):
-                slip = disturbance.boundary_error / (disturbance.scale or 1.0)
+                slip = around.slip
             self._require(slip)
             found.slip = slip
             found.solves[task.instant] = self.solution.last_solve()
@@ -272,20 +278,21 @@ class FieldWork:
                 return self._evaluated(task, found)
             if task.kind == "surface":
                 assert self.section.surface is not None
-                return dict(around.surface(*surface_angles(self.section.surface.shape)))
+                angles = surface_angles(self.section.surface.shape)
+                return dict(around.surface(*angles, *self._numbered(task.target)))
             if task.kind == "streamlines":
                 instant = self.instants[task.instant]
                 return {"points": streamlines(around, self.section, instant)}
             if task.kind == "check":
                 if task.begin < task.end:
-                    points = disturbance.check_points(min(self.section.check, FEW))
-                    errors = disturbance.differences(points[task.begin : task.end])
+                    points = around.check_points(min(self.section.check, FEW))
+                    errors = around.differences(points[task.begin : task.end])
                     found.difference = float(errors.max())
                 return {}
             assert self.plane is not None
             points = self._points(self.plane, 0, self.plane.size, task.instant)
             points = points[self._mapped[task.begin : task.end]]
-            errors = disturbance.differences(around.to_body(points))
+            errors = around.differences(points)
             found.difference = float(np.nanmax(errors, initial=0.0))
             return {"points": points, "error": errors}
 
@@ -305,6 +312,10 @@ class FieldWork:
         kept: dict[str, Any] = {name: values[name] for name in section.quantities}
         return kept | {"points": points, "inside": source == INSIDE, "source": source}
 
+    def _numbered(self, body: int) -> tuple[int, ...]:
+        """What tells the body whose surface is meant, where there are several."""
+        return () if isinstance(self.solution, AroundBody) else (body,)
+
     def _require(self, error: float) -> None:
         """Refuse a table that misses the tolerance where nothing else may replace it."""
         section = self.section
@@ -321,20 +332,20 @@ class FieldWork:
     ) -> dict[str, Any]:
         """Write what is there once an instant or less, and sum up."""
 
-        def collected(kind: Kind) -> list[Any]:
-            return [whole[key] for key in sorted(key for key in whole if key[0] == kind)]
+        def collected(name: str) -> list[Any]:
+            return [whole[key] for key in sorted(key for key in whole if key[0] == name)]
 
-        surfaces, lines = collected("surface"), collected("streamlines")
-        errors = collected("error map")
-        if surfaces:
-            assert self.section.surface is not None
+        lines, errors = collected("streamlines"), collected("error map")
+        if self.section.surface is not None:
             shape = self.section.surface.shape
-            arrays = {
-                name: np.stack([part[name].reshape(shape[0] * shape[1], -1) for part in surfaces])
-                for name in surfaces[0]
-            }
-            arrays["pressure"] = arrays["pressure"][..., 0]
-            store.put_arrays(group, "surface", arrays, {"shape": np.array(shape)})
+            for name in self.surfaces:
+                parts = collected(name)
+                arrays = {
+                    key: np.stack([part[key].reshape(shape[0] * shape[1], -1) for part in parts])
+                    for key in parts[0]
+                }
+                arrays["pressure"] = arrays["pressure"][..., 0]
+                store.put_arrays(group, name, arrays, {"shape": np.array(shape)})
         if lines:
             points = np.stack([part["points"] for part in lines])
             store.put_arrays(group, "streamlines", {"points": points}, {})
@@ -346,17 +357,13 @@ class FieldWork:
             store.put_arrays(group, "error", arrays, {})
         largest = {"no slip": found.slip}
         if self.section.check:
-            largest["table against QBX"] = found.difference
+            largest[self.solution.check] = found.difference
         iterations, residuals = zip(*found.solves.values(), strict=True)
-        grid = self.solution.operators.grid
-        last = self.around(self.instants[-1]).disturbance
         return {
             "errors": largest,
             "points": dict(zip(("inside", *SOURCES), found.counts.tolist(), strict=True)),
             "hydrodynamics": {
-                "n_theta": grid.n_theta,
-                "n_phi": grid.n_phi,
-                "degree_of_table": last.table.harmonics.degree,
+                **self.solution.facts(self.instants[-1]),
                 "solves": len(found.solves),
                 "iterations": sum(iterations),
                 "true_residual": max(residuals),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.errors import ContactError
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, Quantity, of_bodies, of_event
-from qbxstokes.runs.field_targets import targets_of
+from qbxstokes.runs.field_targets import Targets, targets_of
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
@@ -234,6 +234,12 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
             f"resistance: {6 * len(nodes)} solves, and as many on coarser grids: the error"
         )
         return Plan(scene, tuple(needs), skips)
+    if case.task == "field":
+        assert case.field is not None
+        points, parts = _points(targets_of(loaded, case.field))
+        whose = "on the bodies" if case.bodies else "on the body"
+        needs += parts + ([f"traction {whose}"] if case.field.surface is not None else [])
+        return FieldPlan(scene, tuple(needs), skips, points)
     needs.append("a solve for each right-hand side and each sample")
     assert case.time is not None
     times = np.linspace(0.0, end_of(loaded), case.time.samples or _COUPLED_SAMPLES)
@@ -271,6 +277,13 @@ def plan_rheology(loaded: LoadedCase) -> Plan:
     return Plan(scene, tuple(needs), (*skips, *_skips_of_body(case)))
 
 
+def _points(targets: Sequence[Targets]) -> tuple[int, list[str]]:
+    """How many points there are, and what is said of them."""
+    points = sum(target.size for target in targets)
+    parts = ", ".join(f"{target.name} {target.size}" for target in targets)
+    return points, [f"fields at {points} points ({parts})"] if points else []
+
+
 def plan_field(loaded: LoadedCase) -> FieldPlan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
@@ -278,12 +291,8 @@ def plan_field(loaded: LoadedCase) -> FieldPlan:
     start = start_of(loaded)
     with pointed(loaded):
         start.check()
-    targets = targets_of(loaded, case.field)
-    points = sum(target.size for target in targets)
-    needs = [f"integral equation of a body that is {case.field.body}"]
-    if points:
-        parts = ", ".join(f"{target.name} {target.size}" for target in targets)
-        needs.append(f"fields at {points} points ({parts})")
+    points, parts = _points(targets_of(loaded, case.field))
+    needs = [f"integral equation of a body that is {case.field.body}", *parts]
     if case.field.surface is not None:
         needs.append("traction on the body")
     if case.field.streamlines is not None:

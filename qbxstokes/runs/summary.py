@@ -40,7 +40,7 @@ _TAKES = "beside start, comparison, lines and a motion's field (within a factor 
 _LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
 # Errors of a field, which has no reference but itself.
 _CHECKS = {
-    "no slip": "largest slip on the surface, which bounds the error of the velocity",
+    **coupled_report.ABOUT,
     "table against QBX": "two evaluations at points from the surface to far away",
 }
 
@@ -154,7 +154,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     spent = spent_text(times)
     if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
-    if loaded.case.coupled:
+    if loaded.case.coupled and not of_field:
         found = coupled_report.sections(summary)
     else:
         found = {
@@ -217,15 +217,19 @@ def files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
 
 
 def _field_solved(summary: dict[str, Any]) -> Rows:
-    hydro = summary["hydrodynamics"]
-    grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes"
+    hydro, together = summary["hydrodynamics"], summary["hydrodynamics"].get("nodes")
+    if together is not None:
+        grid = coupled_report.grids(together)
+    else:
+        grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes"
     work = f"{counted(hydro['solves'], 'solve')}, {counted(hydro['iterations'], 'iteration')}"
     residual = f"true residual <= {error_text(hydro['true_residual'])}"
-    yield "integral equation", f"{grid}, {work}, {residual}"
-    yield "table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"
+    yield "integral equation" if together is None else "GMRES", f"{grid}, {work}, {residual}"
+    if together is None:
+        yield "table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"
     yield "points", _points(summary["points"])
     for name in ("velocity", "angular_velocity", "force", "torque"):
-        yield name, vector(summary[name], summary["scales"][name])
+        yield from coupled_report.of_each(name, summary[name], summary["scales"][name])
 
 
 def _points(points: Mapping[str, int]) -> str:

@@ -60,6 +60,8 @@ class AroundBody:
     section: accuracy and scheme. tolerance: of the field, relative to the largest disturbance.
     """
 
+    check = "table against QBX"
+
     def __init__(
         self, shape: Revolution, flow: Flow, section: Hydrodynamics, tolerance: float
     ) -> None:
@@ -118,6 +120,12 @@ class AroundBody:
         around = FlowAround(disturbance, flow, instant.position, turn, instant.time)
         self._latest = instant, around
         return around
+
+    def facts(self, instant: Instant) -> dict[str, Any]:
+        """The grid, and the table of the flow at an instant."""
+        grid, last = self.operators.grid, self.at(instant).disturbance
+        degree = last.table.harmonics.degree
+        return {"n_theta": grid.n_theta, "n_phi": grid.n_phi, "degree_of_table": degree}
 
     def last_solve(self) -> tuple[int, float]:
         """Iterations and true residual of the latest solution."""

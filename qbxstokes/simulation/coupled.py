@@ -155,6 +155,10 @@ class CoupledSimulation(Simulation):
     def period(self) -> None:
         """No period: that of Jeffery is one of a body alone."""
 
+    def shaped(self, values: Array) -> Array:
+        """Values (N, ...) of the bodies; of a single one that is no list without the axis."""
+        return values if self.several else values[0]
+
     def __len__(self) -> int:
         """Number of bodies."""
         return len(self.position)

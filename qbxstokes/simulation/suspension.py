@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes, least_rate
-from qbxstokes.bie.resolution import flow_nodes
-from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.bie.coupling import Coupled, Placed, Plane, choose_nodes, least_rate
+from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
-from qbxstokes.flows.check import check_stokesian
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.resolved import flow_nodes_on
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.solved import Solution
 from qbxstokes.simulation.wall import Wall
@@ -26,8 +25,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # Bodies above which the whole resistance is refused: six solves for each.
 MOST_RESISTANCE = 50
-# How much more closely the linear system is solved than the grids resolve.
-_SOLVER = 0.01
+# How much more closely harmonics are summed than the grids resolve, how much more closely than that
+# the linear system is solved, and how much less closely both for the estimate of errors.
+_SUMS, _SOLVER, _LOOSER = 0.1, 0.1, 10.0
 
 
 class Suspension:
@@ -111,7 +111,7 @@ class Suspension:
         if flow is None:
             return chosen
         for b, place in enumerate(places):
-            chosen[b] = max(chosen[b], self._flow_nodes(b + 1, place, flow, t))
+            chosen[b] = max(chosen[b], flow_nodes_on(b + 1, place, flow, t, self.tolerance))
         return chosen
 
     @property
@@ -119,15 +119,20 @@ class Suspension:
         """The least rate of decay of a gap (`geometry.gaps`) that the tolerance is served at."""
         return least_rate(self.tolerance)
 
-    def problem(self, places: Sequence[Placed], nodes: Sequence[int] | None = None) -> Coupled:
-        """The linear problem of the bodies where they are. Raises ContactError."""
+    def problem(
+        self, places: Sequence[Placed], nodes: Sequence[int] | None = None, looser: float = 1.0
+    ) -> Coupled:
+        """The linear problem of the bodies where they are. Raises ContactError.
+
+        looser: factor on the errors of sums and solver.
+        """
         chosen = list(nodes or self.grids(places))
         own = None
         if self.comm is not None:
             from qbxstokes.petsc.coupled import own_bodies
 
             own = own_bodies(chosen, self.comm)
-        return Coupled(places, self.plane, chosen, 0.1 * self.tolerance, own)
+        return Coupled(places, self.plane, chosen, looser * _SUMS * self.tolerance, own)
 
     def resistance(
         self,
@@ -149,7 +154,8 @@ class Suspension:
         """Resistance as above, and the estimated error of its entries over the largest of them."""
         places = self.placed(position, orientation)
         problem = self.problem(places)
-        fine, coarse = map(self._resistance, (problem, self.problem(places, problem.coarser)))
+        coarser = self.problem(places, problem.coarser, _LOOSER)
+        fine, coarse = map(self._resistance, (problem, coarser))
         return fine, problem.estimated(fine, coarse) / float(np.abs(fine).max())
 
     def _resistance(self, problem: Coupled) -> Array:
@@ -249,15 +255,20 @@ class Suspension:
         points: ArrayLike,
         position: ArrayLike,
         orientation: ArrayLike | None = None,
+        *,
+        what: Collection[str] = ("velocity", "pressure"),
         **loads: Any,
-    ) -> dict[str, Array]:
-        """Velocity (P, 3) and pressure (P,) at points of space, to contact and on the wall.
+    ) -> dict[str, NDArray[Any]]:
+        """What is asked for at points (P, 3) of space, to contact and on the wall.
 
-        source (P,): -1 for points inside a body or behind the wall, whose values are NaN, else 0.
-        The bodies are free but for the loads of `free`.
+        what: as of `Body.field`: gradient, stress and so on. source (P,): -1 for points inside a
+        body or behind the wall, whose values are NaN. The bodies are free but for the loads of
+        `free`; `among.FlowAmong` of a solution has surfaces with their tractions, too.
         """
-        found = self.free(flow, position, orientation, **loads)
-        return found.field(flow, np.asarray(points, float).reshape(-1, 3), loads.get("t", 0.0))
+        from qbxstokes.simulation.among import FlowAmong
+
+        found = FlowAmong(self.free(flow, position, orientation, **loads), flow, loads.get("t", 0))
+        return found.evaluate(np.asarray(points, float).reshape(-1, 3), what)
 
     def integrate(
         self,
@@ -301,7 +312,7 @@ class Suspension:
     def _solver(self, problem: Coupled, free: bool) -> Any:
         from qbxstokes.petsc.coupled import CoupledSolver
 
-        return CoupledSolver(problem, free, _SOLVER * self.tolerance, self.comm)
+        return CoupledSolver(problem, free, _SOLVER * problem.tolerance, self.comm)
 
     def _held(self, problem: Coupled, cases: list[tuple[Array, Any]]) -> list[Solution]:
         solver = self._solver(problem, False)
@@ -313,13 +324,12 @@ class Suspension:
             x = solver.solve(data)
             flows = solver.gathered(problem.flows(problem.split(x), False))
             loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
-            steps = solver.iterations[-1] if solver.iterations else 0
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
-                return self._held(self.problem(problem.bodies, nodes), [one])[0]
+                return self._held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
 
             parts = *_parts(motion), *_parts(loads)
-            found.append(Solution(problem, flows, *parts, steps, x, again))
+            found.append(Solution(problem, flows, *parts, solver.latest, x, again))
         solver.release()
         return found
 
@@ -341,14 +351,14 @@ class Suspension:
             sent.append((driven[b] + c - np.tensordot(own, problem.rigid_flows[b], 1), motion))
         sent = solver.gathered(sent)
         motions = np.stack([motion for _, motion in sent])
-        steps = solver.iterations[-1] if solver.iterations else 0
+        took, flows = solver.latest, [flow for flow, _ in sent]
         solver.release()
-        flows = [flow for flow, _ in sent]
 
         def again(nodes: list[int]) -> Solution:
-            return self.freed(self.problem(problem.bodies, nodes), loads, background, None)
+            coarser = self.problem(problem.bodies, nodes, _LOOSER)
+            return self.freed(coarser, loads, background, None)
 
-        return Solution(problem, flows, *_parts(motions), *_parts(loads), steps, x, again)
+        return Solution(problem, flows, *_parts(motions), *_parts(loads), took, x, again)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
@@ -358,30 +368,6 @@ class Suspension:
             raise SceneError(
                 "bodies", f"got vectors of shape {given.shape}", f"shape {(len(self), 3)} or (3,)"
             ) from None
-
-    def _flow_nodes(self, b: int, place: Placed, flow: Flow, t: float) -> int:
-        """Polar nodes that resolve the flow on body b, which it must surround."""
-        reach = place.size**2 * place.shape.extent(place.axis)
-        for edge in flow.domain:
-            if edge.gap(place.position, reach) <= 0.0:
-                raise SceneError("position", f"has body {b} beyond {edge}", "the body inside")
-        try:
-            radius = 2.0 * place.size * place.shape.radius
-            check_stokesian(flow, place.position, radius=radius, t=t)
-            if flow.degree is not None and flow.degree <= 3:
-                return 0
-            if not flow.singular_points_known:
-                raise FlowError("is a function, whose variation over the bodies nobody knows")
-            points = place.to_body(np.asarray(flow.singular_points, dtype=np.float64))
-            if place.shape.clearance(points, np.zeros(3), np.eye(3)[2]).min(initial=np.inf) <= 0.0:
-                raise FlowError(f"is singular in body {b}")
-            rate = float(place.shape.decay(points).max(initial=0.0))
-            found = flow_nodes(rate, self.tolerance)[0]
-        except FlowError as error:
-            raise SceneError("flow", str(error), "nodes= as you judge, or another flow") from None
-        if found > MOST_NODES:
-            raise SceneError("flow", f"takes {found} nodes on body {b}", f"at most {MOST_NODES}")
-        return found
 
     def check(self, flow: Flow | None, t: float = 0.0) -> None:
         """Refuse a flow that slips on the wall."""

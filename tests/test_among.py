@@ -1,0 +1,137 @@
+"""The flow among several bodies and by a wall: gradients, tractions, and fields of cases."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import qbxstokes as qs
+from qbxstokes.cli.main import run_command
+from qbxstokes.errors import CaseError
+from qbxstokes.plots.animation import animate
+from qbxstokes.plots.choice import kinds
+from qbxstokes.simulation.among import FlowAmong
+
+WALL = qs.Wall(normal=[0.0, 1.0, 0.0])
+SCENE: dict[str, Any] = {
+    "bodies": [
+        {
+            "aspect_ratio": 0.5,
+            "start": {"position": [0, 1.6, 0], "orientation": {"axis": [1, 0, 0]}},
+        },
+        {"aspect_ratio": 1.0, "size": 0.6, "start": {"position": [2.4, 1.2, 0]}},
+    ],
+    "surroundings": {"type": "wall"},
+    "flow": {"type": "shear"},
+    "forces": {"force": [0, -1, 0]},
+    "hydrodynamics": {"tolerance": 1e-2},
+    "field": {
+        "plane": {"extent": [-2, 4, 0, 3], "shape": [7, 4]},
+        "surface": {"shape": [5, 8]},
+        "quantities": ["velocity", "pressure", "stress"],
+    },
+}
+
+
+def two(tolerance: float) -> tuple[FlowAmong, np.ndarray]:
+    """A spheroid and a small disc above the wall, in shear, under loads."""
+    scene = qs.Suspension([qs.Body(0.5), qs.Body(2.0, size=0.5)], WALL, tolerance=tolerance)
+    x, axes = [[0.0, 1.5, 0.0], [2.6, 1.3, 0.2]], [[1.0, 0.2, 0.0], [0.3, 1.0, 0.1]]
+    flow = qs.flow("shear")
+    load = np.array([[0.3, -1.0, 0.2], [0.0, -0.5, 0.1]])
+    return FlowAmong(scene.free(flow, x, axes, force=load), flow), load
+
+
+def test_gradients_are_those_of_the_velocity_and_pressure() -> None:
+    flow, _ = two(1e-4)
+    points = np.array([[0.5, 0.6, 0.3], [1.3, 1.5, 0.2], [3.0, 3.0, 1.0], [0.0, 0.01, 0.0]])
+    found = flow.evaluate(points, ("gradient", "pressure_gradient", "stress", "pressure"))
+    step = 1e-4
+    sides = [
+        [flow.evaluate(points + s * step * e, ("velocity", "pressure")) for s in (-1.0, 1.0)]
+        for e in np.eye(3)
+    ]
+    for name, slope in (("velocity", "gradient"), ("pressure", "pressure_gradient")):
+        parts = [(after[name] - before[name]) / (2.0 * step) for before, after in sides]
+        assert np.allclose(np.stack(parts, axis=-1), found[slope], atol=3e-6), name
+    assert np.abs(np.trace(found["gradient"], axis1=1, axis2=2)).max() < 1e-6
+    shear = found["gradient"][:, 0, 1] + found["gradient"][:, 1, 0]
+    assert np.allclose(found["stress"][:, 3], shear, atol=1e-12)
+
+
+def test_tractions_add_up_to_the_loads_on_every_body() -> None:
+    flow, load = two(1e-4)
+    cosine, weights = np.polynomial.legendre.leggauss(24)
+    theta, phi = np.arccos(-cosine), 2.0 * np.pi * np.arange(48) / 48
+    for b, body in enumerate(flow.problem.bodies):
+        found, k = flow.surface(theta, phi, b), body.ratio
+        area = body.size**2 * k * np.sqrt(np.sin(theta) ** 2 + (k * np.cos(theta)) ** 2)
+        area = (weights * area)[:, None, None] * 2.0 * np.pi / 48
+        assert np.allclose((area * found["traction"]).sum(axis=(0, 1)), -load[b], atol=1e-6)
+        turn = np.cross(found["points"] - body.position, found["traction"])
+        assert np.allclose((area * turn).sum(axis=(0, 1)), 0.0, atol=1e-6)
+
+
+def test_a_field_of_a_case_holds_every_surface_and_draws_bodies_and_wall(tmp_path: Path) -> None:
+    name = str(tmp_path / "field.h5")
+    found = qs.run({**SCENE, "task": "field", "output": {"file": name}})
+    field = found.groups["field"]
+    assert {"plane", "surface_1", "surface_2"} <= set(field)
+    assert found.velocity.shape == (1, 2, 3)
+    assert np.allclose(found.force, [[[0, 1, 0], [0, 1, 0]]])  # of the fluid on the bodies
+    plane = field["plane"]
+    on_wall = plane["points"][0, :, 1] == 0.0
+    assert np.abs(plane["velocity"][0][on_wall]).max() < 1e-4  # to the tolerance
+    assert found.summary["errors"]["no slip"] < 1e-2
+    scene = qs.Suspension([qs.Body(0.5), qs.Body(1.0, size=0.6)], WALL, tolerance=1e-2)
+    x, axes = [[0, 1.6, 0], [2.4, 1.2, 0]], [[1.0, 0, 0], [0, 0, 1.0]]
+    nodes = found.summary["hydrodynamics"]["nodes"]
+    other = scene.field(
+        qs.flow("shear"), plane["points"][0], x, axes, force=[0, -1, 0], nodes=nodes.tolist()
+    )
+    inside = plane["inside"][0]
+    assert np.allclose(other["velocity"][~inside], plane["velocity"][0][~inside], atol=1e-3)
+    for kind, draw in kinds(found).items():
+        assert draw().axes, kind
+
+
+def test_a_motion_stores_surfaces_for_paraview_and_is_animated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    case = {
+        **SCENE,
+        "time": {"end": 0.2, "samples": 2, "tolerance": 1e-2},
+        "field": {"surface": {"shape": [5, 8]}, "every": 1, "quantities": ["velocity"]},
+    }
+    Path("motion.yaml").write_text(json.dumps(case))
+    assert run_command(["motion.yaml", "--quiet"]) == 0
+    found = qs.load("motion.h5")
+    with h5py.File("motion.vtkhdf") as file:
+        for name in ("surface_1", "surface_2"):
+            steps = file["VTKHDF"][name]["Steps"]
+            assert steps.attrs["NSteps"] == 2
+            assert "traction" in file["VTKHDF"][name]["PointData"]
+    middle = found.groups["field"]["surface_1"]["points"].mean(axis=1)
+    assert np.allclose(middle, found.position[:, 0], atol=1e-6)
+    film = animate(found, frames=2)
+    film.show(1)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"shells": {}}, "field.shells: has no meaning"),
+        ({"tracers": {"duration": 1.0}}, "field.tracers: has no meaning"),
+        ({"plane": {"frame": "body"}}, "field.plane.frame: is not space"),
+        ({"body": "moving"}, "field.body: has no meaning"),
+    ],
+)
+def test_fields_that_bodies_cannot_have_are_told(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(CaseError, match=told):
+        qs.run({**SCENE, "task": "field", "field": {**SCENE["field"], **change}})
