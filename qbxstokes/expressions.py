@@ -22,6 +22,8 @@ _OPERATORS: dict[type, Callable[..., float]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
+# Of the numbers that users write: sixth powers of it are numbers, too.
+LARGEST = 1e50
 CONSTANTS = {name: lambda t: math.pi for name in ("pi", "π")}
 _IN_TIME = CONSTANTS | {"t": lambda t: t}
 

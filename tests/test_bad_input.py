@@ -215,6 +215,22 @@ ODD: dict[str, dict[str, Any]] = {  # what random edits have found
     "ragged quaternion": {"flow": {"type": "shear", "rotation": [[1, 0], 0, 0, 1]}},
     "bodies of a number": {"task": "body", "bodies": 3.5},
     "half a number": {"start": {"position": ["0.2_", "1x", 0]}},
+    "paths without number": {
+        "flow": {"type": "linear", "gradient": {"process": "gaussian", "end": 9, "paths": {}}},
+        "sweep": {"axes": [{"flow.trajectory": "all"}]},
+    },
+    "no rows of expressions": {"flow": {"type": "linear", "gradient": [["t", 0, 0], 3, [0, 0, 0]]}},
+    "no parameters": {"flow": {"type": "user", "function": "case.py:flow", "parameters": 3}},
+    "one body within another": {"body": None, "bodies": [{"aspect_ratio": 0.5}] * 2},
+    "numbers whose squares are none": {"start": {"position": [1e300, 0, 0]}},
+    "no density": {
+        "body": {"aspect_ratio": 1, "stokes_number": 1},
+        "forces": {"gravity": {"acceleration": 1, "density_ratio": 1e-320}},
+    },
+    "more samples than disks hold": {"time": {"end": 1, "samples": 1e8}},
+    "more values than memory holds": {
+        "sweep": {"axes": [{"start.position[0]": {"linspace": [0, 1], "count": 1e11}}]}
+    },
     "in the wall": {"surroundings": {"type": "wall"}, "time": {"end": 1}},
 }
 

@@ -147,7 +147,7 @@ def _paths(data: dict[str, Any], name: str, value: Any, folder: Path) -> Any:
     try:
         count = len(series_of_case(data.get("flow") or {}, folder))
     except FlowError as error:
-        raise Problem(str(error), "a linear flow with gradient: {file: ...}") from None
+        raise Problem(f"flow: {error}", "all takes every path of a linear flow's series") from None
     return {"linspace": [0, max(count - 1, 1)], "count": count}
 
 

@@ -33,7 +33,7 @@ class Time(Section):
     periods: Positive | None = key(
         "end of the motion in Jeffery periods of the flow's gradient at the start", None, 3
     )
-    samples: Annotated[int, whole(ge=2, le=100_000_000)] | None = key(
+    samples: Annotated[int, whole(ge=2, le=10_000_000)] | None = key(
         "number of equally spaced instants stored, ends included; unset: 201, or more where the "
         "axis would turn more than 0.3 rad between them (up to 20001)",
         None,

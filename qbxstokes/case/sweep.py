@@ -32,6 +32,7 @@ Array = NDArray[Any]
 
 CHUNK = 4096
 MAX_POINTS = 10**12
+MAX_VALUES = 10**8  # that are listed or spaced, not drawn
 TABLE = "table"
 TRAJECTORY: Key = ("flow", "trajectory")
 _RULES = ("linspace", "logspace", "uniform", "random")
@@ -245,6 +246,9 @@ class Rule(Section):
         if self.logspace and min(self.logspace) <= 0:
             wrong = f"starts or ends at {min(self.logspace):g}"
             raise Problem(wrong, "numbers > 0", ("logspace",))
+        if self.count > MAX_VALUES:
+            wrong = f"makes {self.count:.3g} values, which are held in memory"
+            raise Problem(wrong, f"at most {MAX_VALUES:.0e}, or uniform: [low, high]", ("count",))
         spaced: Any = np.linspace if self.linspace else np.geomspace
         ends: Any = self.linspace or self.logspace
         return Column(name, spaced(*ends, self.count, endpoint=self.endpoint), size=self.count)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from qbxstokes.expressions import CONSTANTS, expression_in_time
+from qbxstokes.expressions import CONSTANTS, LARGEST, expression_in_time
 
 Key = tuple[str | int, ...]
 T = TypeVar("T")
@@ -123,6 +123,8 @@ def to_number(value: Any) -> float:
         raise Problem(f"{describe(value)} is not a number", right) from None
     if not math.isfinite(number):
         raise Problem(f"{describe(value)} is not finite", "a finite number is expected")
+    if abs(number) > LARGEST:
+        raise Problem(f"{describe(value)} is beyond {LARGEST:g}", "a smaller number, other units")
     return number
 
 

@@ -6,7 +6,7 @@ Positions are relative to the tracer along which the gradients were taken: the f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -162,7 +162,7 @@ def in_time(gradient: Any) -> bool:
 
 
 def _of_expressions(rows: Any) -> Callable[[float], Array]:
-    if len(rows) != 3 or any(len(row) != 3 for row in rows):
+    if len(rows) != 3 or any(not isinstance(row, Sequence | np.ndarray) or len(row) != 3 for row in rows):
         raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", ("gradient",))
     parts = []
     for i, row in enumerate(rows):

@@ -15,7 +15,7 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.user import resolve_paths
-from qbxstokes.flows.values import Array, check_keys, number
+from qbxstokes.flows.values import Array, check_keys, number, whole
 from qbxstokes.tables import TableError, read_table
 
 OUTSIDE = "error", "clamp", "repeat"
@@ -226,10 +226,11 @@ def _of_process(given: Mapping[str, Any]) -> GradientSeries:
     chosen = {name: given.get(name, value) for name, value in defaults.items()}
     end = number(given["end"], "end")
     rate, time, spacing = (number(chosen[n], n) for n in ("rate", "correlation_time", "spacing"))
+    paths, seed = whole(chosen["paths"], "paths", 1), whole(chosen["seed"], "seed", 0)
     if not 0.0 < spacing <= 0.2 * end or end / spacing > 1e8:
         raise FlowError(f"spacing is {spacing:g}, and end {end:g}", ("gradient", "spacing"))
     times = np.linspace(0.0, end, round(end / spacing) + 1)
-    samples = RandomSamples(times, int(chosen["paths"]), rate, time, int(chosen["seed"]))
+    samples = RandomSamples(times, paths, rate, time, seed)
     return GradientSeries(times, samples)
 
 

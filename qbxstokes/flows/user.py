@@ -28,6 +28,7 @@ from qbxstokes.flows.values import Array, number, tensor
 # smooth on the straight way from the origin.
 _PRESSURE_NODES = 24
 # Where functions are that no file holds, but a program has given: `hand_over`.
+_GIVEN = ("parameters",)
 _PYTHON = "<python>.py"
 _handed: WeakValueDictionary[str, Any] = WeakValueDictionary()
 
@@ -54,6 +55,10 @@ class UserFlow(Flow):
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
+        if parameters is not None and not isinstance(parameters, Mapping):
+            raise FlowError(f"parameters must be names and values, not {parameters!r}", _GIVEN)
+        if not all(isinstance(name, str) for name in parameters or {}):
+            raise FlowError("names of parameters must be texts", _GIVEN)
         self.parameters = dict(parameters or {})
         if longest_step is not None:
             self.spacing = number(longest_step, "longest_step", positive=True)

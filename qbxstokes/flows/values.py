@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError
+from qbxstokes.expressions import LARGEST
 
 Array = NDArray[np.float64]
 Key = tuple[str | int, ...]
@@ -34,7 +35,18 @@ def number(value: object, name: str, *, positive: bool = False, key: Key | None 
     result = float(value)
     if not np.isfinite(result) or (positive and result <= 0.0):
         raise FlowError(f"{name} must be {right}, not {value!r}", at)
+    if abs(result) > LARGEST:
+        raise FlowError(f"{name} is {result:g}, beyond {LARGEST:g}", at)
     return result
+
+
+def whole(value: object, name: str, least: int, key: Key | None = None) -> int:
+    """An integer from `least` on from the case, or FlowError at `key` (the name if not given)."""
+    result = number(value, name, key=key)
+    if result != int(result) or result < least:
+        right = f"a whole number from {least} on"
+        raise FlowError(f"{name} must be {right}, not {value!r}", (name,) if key is None else key)
+    return int(result)
 
 
 def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None) -> Array:
@@ -49,6 +61,8 @@ def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None
         raise FlowError(f"{name} {right}, got shape {result.shape}", at)
     if not np.all(np.isfinite(result)):
         raise FlowError(f"{name} {right}, not {value!r}", at)
+    if np.any(np.abs(result) > LARGEST):
+        raise FlowError(f"{name} holds numbers beyond {LARGEST:g}", at)
     return result
 
 

@@ -91,13 +91,17 @@ def pair_gap(
         points = map(contact_point, (m, m), axes, ratios, sizes)
         return np.asarray(apart - sum(points))
 
-    m = apart / np.linalg.norm(apart)
+    distance = np.linalg.norm(apart)
+    if distance == 0.0:  # one within the other
+        m = np.eye(3)[0]
+        return Gap(objective(m), m, (0.0, 0.0))
+    m = apart / distance
     value = objective(m)
     for _ in range(_ITERATIONS):
         # The gradient is the vector between the two points of contact: parallel to m at the best.
         slope = ascent(m)
         across = slope - (slope @ m) * m
-        if np.linalg.norm(across) < 1e-13 * np.linalg.norm(apart):
+        if np.linalg.norm(across) < 1e-13 * distance:
             break
         step = _newton(m, across, slope, axes, ratios, sizes)
         length = 1.0
