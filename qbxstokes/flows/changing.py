@@ -162,7 +162,9 @@ def in_time(gradient: Any) -> bool:
 
 
 def _of_expressions(rows: Any) -> Callable[[float], Array]:
-    if len(rows) != 3 or any(not isinstance(row, Sequence | np.ndarray) or len(row) != 3 for row in rows):
+    if len(rows) != 3 or any(
+        not isinstance(row, Sequence | np.ndarray) or len(row) != 3 for row in rows
+    ):
         raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", ("gradient",))
     parts = []
     for i, row in enumerate(rows):
