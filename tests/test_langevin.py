@@ -125,6 +125,16 @@ def test_motions_turn_at_random_as_the_density_says() -> None:
     assert np.abs(few.axis - again).max() < 1e-6
 
 
+def test_a_single_body_turns_at_random() -> None:
+    keys = {"rotary_diffusivity": 0.1, "seed": 3}
+    body, times = qs.Body(0.2), np.linspace(0.0, 2.0, 5)
+    alone = body.integrate(SHEAR, times, orientation=[1, 0, 0], brownian=keys)
+    scene = qs.Simulation(body, SHEAR, orientation=[[1, 0, 0], [0, 0, 1]], brownian=keys)
+    assert alone.axis.shape == (5, 3)
+    assert np.array_equal(alone.axis, scene.integrate(times).axis[0])
+    assert np.abs(alone.axis - body.integrate(SHEAR, times, orientation=[1, 0, 0]).axis).max() > 0.1
+
+
 def test_motions_disperse_with_shear() -> None:
     """A sphere's places in shear: 2 D t (1 + t^2/3) along, D t^2 mixed, 2 D t across."""
     keys = {"rotary_diffusivity": 0.5, "translation": True}

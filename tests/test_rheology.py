@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.errors import QbxStokesError
+from qbxstokes.errors import CaseError, QbxStokesError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import stress
 from qbxstokes.reference.jeffery import axis_at, period, rotation_resistance
@@ -260,6 +260,14 @@ def test_tables_for_others(tmp_path: Path) -> None:
     rows = np.loadtxt(name, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(rows[:, 2].reshape(5, 8), result.distribution[0])
     assert name.read_text().startswith("theta,phi,density\n")
+    # The axes are starts of a sweep; the density is none.
+    motion = {"body": {"aspect_ratio": 0.2}, "flow": {"type": "shear"}, "time": {"at": [0, 1]}}
+    starts = [{"start.orientation": {"table": str(drawn)}}]
+    swept = qs.run({**motion, "sweep": {"axes": starts}})
+    np.testing.assert_allclose(swept.axis[:, 0], result.samples[0], atol=1e-14)
+    starts[0]["start.orientation"]["table"] = str(name)
+    with pytest.raises(CaseError, match=r"holds theta, phi, density; axes: x1, x2, x3"):
+        qs.run({**motion, "sweep": {"axes": starts}})
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,10 @@ def _check_brownian(document: Document) -> None:
     """Raise CaseError for motions that cannot be random."""
     sweep = document.data.get("sweep")
     if not isinstance(sweep, dict):
-        right = "sweep: {axes: [start.orientation: {random: axes, count: 100}]} or the like"
+        right = (
+            "sweep: {axes: [start.orientation: {random: axes, count: 100}]} or, of one axis, "
+            "[start.orientation: [[1, 0, 0]]]"
+        )
         raise document.error("brownian", "has no meaning for a single motion", right)
     for name in ("bodies", "surroundings", "field"):
         if document.data.get(name) is not None:

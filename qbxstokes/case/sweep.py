@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.document import ORIENTATION, assigned, parse_key
 from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, whole
 from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
-from qbxstokes.tables import TableError, read_table
+from qbxstokes.tables import Table, TableError, read_table
 
 Array = NDArray[Any]
 
@@ -36,6 +36,7 @@ MAX_VALUES = 10**8  # that are listed or spaced, not drawn
 TABLE = "table"
 TRAJECTORY: Key = ("flow", "trajectory")
 _RULES = ("linspace", "logspace", "uniform", "random")
+_ONE_OF = f"one of {', '.join(_RULES)}"
 # What a sweep cannot vary: the result is one file with one set of instants.
 _FIXED = ("task", "title", "sweep", "output", "compare", "time.samples", "time.at")
 
@@ -68,7 +69,7 @@ class Sweep(Section):
 
     axes: Annotated[tuple[dict[str, Any], ...], AXES] = key(
         "list of axes: key: [values], {linspace | logspace | uniform: [a, b], count}, "
-        "{random: axes | rotations, count, seed}, or table: FILE.csv",
+        "{random: axes | rotations, count, seed}, {table: FILE.csv}; or table: FILE.csv",
         example=[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}],
     )
     store: Literal["samples", "summary", "statistics"] = key(
@@ -224,7 +225,7 @@ class Rule(Section):
         kinds = [kind for kind in _RULES if kind in data]
         if len(kinds) != 1:
             wrong = f"names {' and '.join(kinds) or 'no rule'}"
-            raise Problem(wrong, f"one of {', '.join(_RULES)}")
+            raise Problem(wrong, f"{_ONE_OF}, or table")
         if data.get("random", "axes") not in ("axes", "rotations"):
             wrong, right = f"is {describe(data['random'])}", "axes (on the sphere) or rotations"
             raise Problem(wrong, right, ("random",))
@@ -287,12 +288,14 @@ def _columns(name: str, given: Any, folder: Path) -> list[Column]:
     """Columns of an entry of an axis."""
     if name == TABLE:
         return _table(given, folder)
+    if isinstance(given, dict) and TABLE in given:
+        return [_vectors(parse_key(name), given, folder)]
     if isinstance(given, dict):
         return [Rule.read(given).column(parse_key(name))]
     if isinstance(given, (list, tuple)) and given:
         return [_listed(parse_key(name), given)]
     wrong = f"is {describe(given)}" if given != [] else "has no values"
-    raise Problem(wrong, f"a list of values, or one of {', '.join(_RULES)} with count")
+    raise Problem(wrong, f"a list of values, {{table: FILE.csv}}, or {_ONE_OF} with count")
 
 
 def _check_column(column: Column, seen: Sequence[Key], alone: bool) -> None:
@@ -331,13 +334,8 @@ def _listed(name: Key, given: Sequence[Any]) -> Column:
 
 
 def _table(given: Any, folder: Path) -> list[Column]:
-    """Columns of a file of rows (`tables`) whose first line names the keys."""
-    if not isinstance(given, str):
-        raise Problem(f"is {describe(given)}", "the name of a CSV file")
-    try:
-        table = read_table(folder / given, words=True)
-    except TableError as error:
-        raise Problem(str(error), "a CSV text file") from None
+    """Columns of a file of rows whose first line names the keys."""
+    table = _read(given, folder)
     keys = [parse_key(name) for name in table.names]
     if not keys or ("",) in keys or len(set(keys)) != len(keys):
         raise Problem(f"the first line of {table.path} names no distinct keys", "a header")
@@ -346,3 +344,29 @@ def _table(given: Any, folder: Path) -> list[Column]:
         rows = len(table.numbers)
         return [Column(*pair, size=rows) for pair in zip(keys, columns, strict=True)]
     return [_listed(name, [row[i] for row in table.words]) for i, name in enumerate(keys)]
+
+
+def _vectors(name: Key, given: Mapping[str, Any], folder: Path) -> Column:
+    """The rows of a file of numbers as values of one key, such as axes or places."""
+    if len(given) > 1:
+        raise Problem(
+            "has keys beside table", "table alone", (next(k for k in given if k != TABLE),)
+        )
+    with at(TABLE):
+        table = _read(given[TABLE], folder)
+        if table.words is not None:
+            raise Problem(f"{table.path} holds words", "a table of numbers")
+        if name == ORIENTATION and "theta" in table.names:
+            raise Problem(f"{table.path} holds {', '.join(table.names)}", "axes: x1, x2, x3")
+    values = table.numbers
+    return Column(name, values if values.shape[1] > 1 else values[:, 0], size=len(values))
+
+
+def _read(given: Any, folder: Path) -> Table:
+    """A file of rows (`tables`)."""
+    if not isinstance(given, str):
+        raise Problem(f"is {describe(given)}", "the name of a CSV file")
+    try:
+        return read_table(folder / given, words=True)
+    except TableError as error:
+        raise Problem(str(error), "a CSV text file") from None

@@ -13,7 +13,7 @@ array([1., 0., 0.])
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -143,12 +143,14 @@ class Body(FormedBody):
         angular_velocity: ArrayLike | None = None,
         loads: Loads | None = None,
         constraints: Constraints | None = None,
+        brownian: Mapping[str, Any] | None = None,
         tolerance: float = 1e-10,
         stokes_number: None = None,
     ) -> Motion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
         velocity, angular_velocity (space frame): at the start, None to follow the flow.
+        brownian: such as {"rotary_diffusivity": 0.1, "seed": 1}, of a body without inertia.
         tolerance: error accepted at the end. The short form of `qs.Simulation(...).integrate`.
 
         >>> import numpy as np, qbxstokes as qs
@@ -169,6 +171,7 @@ class Body(FormedBody):
             angular_velocity=angular_velocity,
             loads=loads,
             constraints=constraints,
+            brownian=brownian,
             tolerance=tolerance,
         ).integrate(times)
 
