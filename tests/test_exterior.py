@@ -51,8 +51,8 @@ def test_rotating_and_straining_spheroids(k, matrix):
     promised = field.errors
     for name in WHAT:
         error, size = np.abs(found[name] - exact[name]).max(), np.abs(exact[name]).max()
-        assert error < (5e-11 if k == 1 / 50 else 5e-12) * size, name
-        # The closed form rounds as well, on thin bodies as much.
+        # The closed form rounds as well, on thin bodies as much, and on each machine in its way.
+        assert error < {1 / 50: 5e-11, 50.0: 2e-11}.get(k, 5e-12) * size, name
         assert error < 3.0 * promised[name], name
         assert promised[name] < 1e-9 * max(size, np.abs(exact["gradient"]).max()), name
 
