@@ -55,6 +55,8 @@ def test_suspensions_are_those_of_the_literature(run_study: Run) -> None:
     assert found["dumbbell, Psi_1 at rest"] < 1e-6
     assert max(found["[eta], second order"], found["Psi_1, second order"]) < 1e-3
     assert found["Psi_1 (rate lambda)^(4/3)"] < 5e-3
+    assert max(found[f"rod of 50:1, {factor}"] for factor in "AB") < 0.01
+    assert max(value for name, value in found.items() if name.startswith("near a sphere")) < 5e-4
     assert found["extension, relative"] < 1e-9
     assert found["smallest N1"] > 0.0
     assert found["largest N2"] < 0.0
