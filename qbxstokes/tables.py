@@ -60,6 +60,8 @@ def read_table(path: str | Path, columns: int | None = None, *, words: bool = Fa
     if not rows:
         raise TableError(f"{path}: holds no rows")
     separator = next((mark for mark in SEPARATORS if mark in rows[0]), None)
+    if separator is None and len(rows[0].split()) == 1:
+        separator = SEPARATORS[0]  # one column: words such as '10 deg' may hold blanks
     first = _split(rows[0], separator)
     names: tuple[str, ...] = ()
     if not all(map(_is_number, first)):
@@ -82,7 +84,7 @@ def read_table(path: str | Path, columns: int | None = None, *, words: bool = Fa
             raise TableError(f"{path}: line {line} has {len(row)} entries; {width} are expected")
         for place, entry in enumerate(row, 1):
             if not (words or _is_number(entry)):
-                raise TableError(f"{path}: line {line}, column {place}: {_fault(entry)}")
+                raise TableError(f"{path}: line {line}, column {place}: {fault(entry)}")
     if words and not all(_is_number(entry) for row in entries for entry in row):
         return Table(path, names, np.empty((0, width)), entries, lines)
     return Table(path, names, np.array(entries, dtype=np.float64), None, lines)
@@ -90,6 +92,9 @@ def read_table(path: str | Path, columns: int | None = None, *, words: bool = Fa
 
 def _mapped(path: Path, columns: int | None) -> Table:
     numbers = np.load(path, mmap_mode="r", allow_pickle=False)
+    names: tuple[str, ...] = numbers.dtype.names or ()
+    if names and numbers.ndim == 1 and all(numbers.dtype[n].kind in "fiu" for n in names):
+        numbers = np.stack([numbers[name] for name in names], axis=1)
     if numbers.dtype.kind not in "fiu" or numbers.ndim != 2:
         wrong = f"holds {numbers.dtype} of shape {numbers.shape}"
         raise TableError(f"{path}: {wrong}; rows and columns of numbers are expected")
@@ -97,7 +102,7 @@ def _mapped(path: Path, columns: int | None) -> Table:
         raise TableError(f"{path}: holds no rows")
     if columns is not None and numbers.shape[1] != columns:
         raise TableError(f"{path}: has {numbers.shape[1]} columns; {columns} are expected")
-    return Table(path, (), numbers, None, [])
+    return Table(path, names, numbers, None, [])
 
 
 def _split(row: str, separator: str | None) -> list[str]:
@@ -114,7 +119,8 @@ def _is_number(entry: str) -> bool:
         return False
 
 
-def _fault(entry: str) -> str:
+def fault(entry: str) -> str:
+    """Why an entry is no number."""
     if not entry:
         return "is empty; a number is expected"
     point = entry.replace(",", ".")

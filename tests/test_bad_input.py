@@ -231,6 +231,8 @@ ODD: dict[str, dict[str, Any]] = {  # what random edits have found
     "more values than memory holds": {
         "sweep": {"axes": [{"start.position[0]": {"linspace": [0, 1], "count": 1e11}}]}
     },
+    "empty among values": {"sweep": {"axes": [{"body.stokes_number": [0, [], 1]}]}},
+    "a body too small": {"body": None, "bodies": [{"aspect_ratio": 1, "size": 1e-300}]},
     "in the wall": {"surroundings": {"type": "wall"}, "time": {"end": 1}},
 }
 

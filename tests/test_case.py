@@ -250,7 +250,7 @@ def test_overrides(write_case: WriteCase) -> None:
         ("=1", "not an assignment"),
         ("body.aspect_ratio.x=1", "is not a section"),
         ("bdy.aspect_ratio=1", "--set bdy.aspect_ratio=1: bdy: unknown key; did you mean body?"),
-        ("start.position[7]=1", "start.position: is a mapping of keys"),
+        ("start.position[7]=1", "start.position is a list of 3 entries"),
         ("start.orientation.axis[x]=1", "start.orientation"),
         ("body=[", "not valid YAML"),
     ],

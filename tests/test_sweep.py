@@ -116,6 +116,58 @@ def test_random_orientations_are_uniform_and_made_in_pieces(
     np.testing.assert_array_equal(space.values(piece)["start", "orientation"], points[piece])
 
 
+HEADER = ",".join(f"start.orientation.quaternion[{i}]" for i in range(4))
+
+
+@pytest.mark.parametrize("kind", ["npy", "float32", "named npy", "csv", "keys", "euler"])
+def test_orientations_come_from_files(
+    kind: str, write: Callable[..., Path], tmp_path: Path
+) -> None:
+    q = np.random.default_rng(2).standard_normal((5, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    file, axis = tmp_path / "q.npy", {"start.orientation": {"table": "q.npy"}}
+    if kind in ("csv", "keys"):
+        file, axis = tmp_path / "q.csv", {"start.orientation": {"table": "q.csv"}}
+        np.savetxt(file, q, delimiter=";", header=HEADER.replace(",", ";"), comments="")
+    elif kind == "named npy":
+        np.save(file, np.rec.fromarrays(q.T, names=HEADER.split(",")))
+    elif kind == "euler":
+        np.save(file, rotation.to_euler(q))
+        axis = {"start.orientation.euler": {"table": "q.npy"}}
+    else:
+        np.save(file, q.astype(np.float32) if kind == "float32" else q)
+    space = load_case(write({"table": file.name} if kind in ("keys", "named npy") else axis)).space
+    values = space.values(np.arange(5))
+    if kind == "euler":
+        found = rotation.from_euler(
+            *(values["start", "orientation", "euler", n] for n in ("phi", "theta", "psi"))
+        )
+        np.testing.assert_allclose(np.abs(np.sum(found * q, axis=1)), 1.0, rtol=1e-14)
+    else:
+        found = values["start", "orientation"]
+        np.testing.assert_allclose(found, q, rtol=1e-7 if kind == "float32" else 1e-15)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (f"{HEADER}\n1,0,0,0\n1,0,x,0\n", "t.csv, line 3, column 3: 'x' is no finite number"),
+        (f"{HEADER}\n\n1,0,0,0\n0,0,0,0\n", "t.csv, line 4"),
+        ("start.orientation.quaternion[0]\n1\n", "give all of quaternion[0] to quaternion[3]"),
+        (HEADER.replace("[3]", "[4]") + "\n1,0,0,0\n", "give all of quaternion"),
+        ("start.position[7]\n1\n", "use an index from 0 to 2"),
+        ("body.aspect_ratio\n1\n# two\n-1\n", "t.csv, line 4"),
+    ],
+)
+def test_faults_of_tables_name_file_and_line(
+    content: str, told: str, write: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "t.csv").write_text(content)
+    with pytest.raises(CaseError) as caught:
+        load_case(write({"table": "t.csv"}))
+    assert told in str(caught.value)
+
+
 def test_tables_hold_numbers_angles_and_words(write: Callable[..., Path], tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(
         "start.orientation.euler.theta,flow.type,body.stokes_number\n90 deg,shear,1\n0,rotation,2\n"
@@ -184,8 +236,8 @@ def test_blocks_hold_every_trajectory_once_and_one_decade_each(
         ({"output.file": ["a", "b"]}, "output is the same for all"),
         ({"time.samples": [2, 3]}, "time.samples is the same for all"),
         ({"table": "none.csv"}, "cannot be read"),
-        ({"start.position[7]": [1]}, "start.position: is a mapping of keys"),
-        ({"body.aspect_ratio.x": [1]}, "body.aspect_ratio: is not a section"),
+        ({"start.position[7]": [1]}, "start.position is a list of 3 entries"),
+        ({"body.aspect_ratio.x": [1]}, "body.aspect_ratio is not a section"),
         ({"body.stokes_number": {"linspace": [0, 1], "count": 2, "seed": 1}}, "seed: has no mean"),
         ({"flow.rat": [1]}, "did you mean 'rate'"),
     ],

@@ -70,7 +70,10 @@ def assigned(data: Any, key: Key, value: Any, path: Key = ()) -> Any:
     if not key:
         return value
     part, rest, below = key[0], key[1:], (*path, key[0])
-    if data is None and part in (0, 1, 2):
+    if data is None and isinstance(part, int):
+        if path[-1:] == ("quaternion",):
+            wrong = "is not given as a whole"
+            raise Problem(wrong, "give all of quaternion[0] to quaternion[3]", path)
         data = [0.0] * 3
     if isinstance(data, list):
         if not isinstance(part, int) or part >= len(data):

@@ -84,8 +84,9 @@ def checked(document: Document, path: Path) -> LoadedCase:
     for number, columns in enumerate(space.axes):
         # The values of each axis, the other axes at their first point.
         for point in sorted({point for column in columns for point in column.extremes()}):
+            told = f" ({columns[0].told(point)})"
             place = [point if other == number else 0 for other in range(len(space.axes))]
-            with _told(document, f" (value {point + 1} of the axis)"):
+            with _told(document, told):
                 Case.read(space.assign(document.data, place))
     return loaded
 

@@ -33,6 +33,7 @@ from qbxstokes.case.values import (
     to_number,
     to_text,
 )
+from qbxstokes.expressions import LARGEST
 
 # -- readers --------------------------------------------------------------------------------------
 
@@ -155,7 +156,7 @@ _PLAIN = {float: number(), str: TEXT, bool: TRUTH}
 Vector = Annotated[tuple[float, float, float], VECTOR]
 Direction = Annotated[tuple[float, float, float], pointing(VECTOR)]
 Angle = Annotated[float, number(to_angle)]
-Positive = Annotated[float, number(gt=0)]
+Positive = Annotated[float, number(gt=0, ge=1.0 / LARGEST)]
 NotNegative = Annotated[float, number(ge=0)]
 Share = Annotated[float, number(gt=0, lt=1)]
 Tolerance = Annotated[float, number(gt=0, le=0.1)]

@@ -26,7 +26,7 @@ from qbxstokes.case.values import (
     with_numbers,
 )
 from qbxstokes.errors import SceneError
-from qbxstokes.expressions import FUNCTIONS, LARGEST, expression_in_time
+from qbxstokes.expressions import FUNCTIONS, expression_in_time
 from qbxstokes.geometry.registry import SHAPES, build_shape
 
 FREE, LOCKED, WITH_FLOW = "free", "locked", "with_flow"
@@ -230,9 +230,6 @@ class Gravity(Section):
         if self.number is None and None in pair:
             missing = "acceleration" if pair[0] is None else "density_ratio"
             raise Problem("is missing", "acceleration and density_ratio go together", (missing,))
-        if self.density_ratio is not None and self.density_ratio < 1.0 / LARGEST:
-            wrong = f"is {self.density_ratio:g}"
-            raise Problem(wrong, f"at least {1.0 / LARGEST:g}", ("density_ratio",))
 
     def net(self, stokes_number: float) -> float:
         """G, the net weight per volume."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.document import ORIENTATION, assigned, parse_key
 from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, whole
 from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
-from qbxstokes.tables import Table, TableError, read_table
+from qbxstokes.tables import Table, TableError, fault, read_table
 
 Array = NDArray[Any]
 
@@ -34,12 +34,12 @@ CHUNK = 4096
 MAX_POINTS = 10**12
 MAX_VALUES = 10**8  # that are listed or spaced, not drawn
 TABLE = "table"
+_FORMS = (("axis", 3), ("quaternion", 4))  # of orientations as vectors
 TRAJECTORY: Key = ("flow", "trajectory")
 _RULES = ("linspace", "logspace", "uniform", "random")
 _ONE_OF = f"one of {', '.join(_RULES)}"
 # What a sweep cannot vary: the result is one file with one set of instants.
 _FIXED = ("task", "title", "sweep", "output", "compare", "time.samples", "time.at")
-
 
 _MAPPING = Reader(lambda value: value if isinstance(value, dict) else {}, {"type": "object"})
 AXIS = refined(_MAPPING, bool, "write body.aspect_ratio: [1, 2]", "is no axis")
@@ -69,7 +69,7 @@ class Sweep(Section):
 
     axes: Annotated[tuple[dict[str, Any], ...], AXES] = key(
         "list of axes: key: [values], {linspace | logspace | uniform: [a, b], count}, "
-        "{random: axes | rotations, count, seed}, {table: FILE.csv}; or table: FILE.csv",
+        "{random: axes | rotations, count, seed} or {table: FILE}, or table: FILE of keys",
         example=[{"body.stokes_number": {"logspace": [0.1, 1000], "count": 9}}],
     )
     store: Literal["samples", "summary", "statistics"] = key(
@@ -103,6 +103,14 @@ class Column:
     seed: int = 0
     bounds: tuple[float, float] = (0.0, 1.0)
     where: Key = ()
+    table: Table | None = None
+
+    def told(self, point: int) -> str:
+        """Which value of the axis it is, or which line of a file, for messages."""
+        if self.table is None:
+            return f"value {point + 1} of the axis"
+        where = f"line {self.table.lines[point]}" if self.table.lines else f"row {point + 1}"
+        return f"{self.table.path}, {where}"
 
     def take(self, points: Array) -> Array:
         """Values at the given points of the axis."""
@@ -195,7 +203,11 @@ class SweepSpace:
         changed = dict(data)
         changed.pop("sweep", None)
         for axis, column in self.columns:
-            changed = assigned(changed, column.key, column.plain(points[axis]))
+            try:
+                changed = assigned(changed, column.key, column.plain(points[axis]))
+            except Problem as problem:
+                where = ".".join(map(str, problem.key))
+                raise Problem(f"{where} {problem.wrong}", problem.right, column.where) from None
         return changed
 
 
@@ -224,6 +236,8 @@ class Rule(Section):
     def _prepare(cls, data: Any) -> Any:
         kinds = [kind for kind in _RULES if kind in data]
         if len(kinds) != 1:
+            if TABLE in data:
+                raise Problem("has keys beside it", "table alone", (TABLE,))
             wrong = f"names {' and '.join(kinds) or 'no rule'}"
             raise Problem(wrong, f"{_ONE_OF}, or table")
         if data.get("random", "axes") not in ("axes", "rotations"):
@@ -288,14 +302,14 @@ def _columns(name: str, given: Any, folder: Path) -> list[Column]:
     """Columns of an entry of an axis."""
     if name == TABLE:
         return _table(given, folder)
-    if isinstance(given, dict) and TABLE in given:
-        return [_vectors(parse_key(name), given, folder)]
     if isinstance(given, dict):
+        if set(given) == {TABLE}:
+            return _of_file(parse_key(name), given[TABLE], folder)
         return [Rule.read(given).column(parse_key(name))]
     if isinstance(given, (list, tuple)) and given:
         return [_listed(parse_key(name), given)]
     wrong = f"is {describe(given)}" if given != [] else "has no values"
-    raise Problem(wrong, f"a list of values, {{table: FILE.csv}}, or {_ONE_OF} with count")
+    raise Problem(wrong, f"a list of values, {{table: FILE}}, or {_ONE_OF} with count")
 
 
 def _check_column(column: Column, seen: Sequence[Key], alone: bool) -> None:
@@ -323,7 +337,7 @@ def _check_column(column: Column, seen: Sequence[Key], alone: bool) -> None:
 
 def _listed(name: Key, given: Sequence[Any]) -> Column:
     values = [with_numbers(value) for value in given]
-    if len({len(value) if isinstance(value, list) else 0 for value in values}) > 1:
+    if len({len(value) if isinstance(value, list) else -1 for value in values}) > 1:
         raise Problem("mixes numbers and lists of different lengths", "one kind of value")
     flat = [entry for v in values for entry in (v if isinstance(v, list) else [v])]
     if all(type(entry) in (int, float) for entry in flat):
@@ -333,40 +347,54 @@ def _listed(name: Key, given: Sequence[Any]) -> Column:
     return Column(name, column, size=len(values))
 
 
-def _table(given: Any, folder: Path) -> list[Column]:
-    """Columns of a file of rows whose first line names the keys."""
+def _read(given: Any, folder: Path, words: bool = False) -> Table:
+    if not isinstance(given, str):
+        raise Problem(f"is {describe(given)}", "the name of a CSV or NPY file")
+    try:
+        return read_table(folder / given, words=words)
+    except TableError as error:
+        raise Problem(str(error), "rows of numbers, below a line of names or none") from None
+
+
+def _check_numbers(column: Column, place: int) -> None:
+    """Raise Problem where a column of a file, whose place it is, holds words."""
+    for row, value in enumerate([] if column.numeric else column.take(np.arange(column.size))):
+        if not isinstance(value, float | int):
+            raise Problem(f"{column.told(row)}, column {place}: {fault(value)}", "numbers")
+
+
+def _of_file(name: Key, given: Any, folder: Path) -> list[Column]:
+    """Values of a key from a file: a number or a vector in each row, three Euler angles."""
     table = _read(given, folder)
+    if name == ORIENTATION and "theta" in table.names:
+        raise Problem(f"{table.path} holds {', '.join(table.names)}", "axes: x1, x2, x3")
+    numbers, (rows, width) = np.array(table.numbers, dtype=np.float64), table.numbers.shape
+    if name == (*ORIENTATION, "euler") and width == 3:
+        angles = zip(("phi", "theta", "psi"), numbers.T, strict=True)
+        return [Column((*name, a), v.copy(), size=rows, table=table) for a, v in angles]
+    return [Column(name, numbers[:, 0] if width == 1 else numbers, size=rows, table=table)]
+
+
+def _table(given: Any, folder: Path) -> list[Column]:
+    """Columns of a file of rows (`tables`) whose first line names the keys."""
+    table = _read(given, folder, words=True)
     keys = [parse_key(name) for name in table.names]
     if not keys or ("",) in keys or len(set(keys)) != len(keys):
-        raise Problem(f"the first line of {table.path} names no distinct keys", "a header")
-    if table.words is None:
-        columns = [np.ascontiguousarray(values) for values in table.numbers.T]
-        rows = len(table.numbers)
-        return [Column(*pair, size=rows) for pair in zip(keys, columns, strict=True)]
-    return [_listed(name, [row[i] for row in table.words]) for i, name in enumerate(keys)]
-
-
-def _vectors(name: Key, given: Mapping[str, Any], folder: Path) -> Column:
-    """The rows of a file of numbers as values of one key, such as axes or places."""
-    if len(given) > 1:
-        raise Problem(
-            "has keys beside table", "table alone", (next(k for k in given if k != TABLE),)
-        )
-    with at(TABLE):
-        table = _read(given[TABLE], folder)
-        if table.words is not None:
-            raise Problem(f"{table.path} holds words", "a table of numbers")
-        if name == ORIENTATION and "theta" in table.names:
-            raise Problem(f"{table.path} holds {', '.join(table.names)}", "axes: x1, x2, x3")
-    values = table.numbers
-    return Column(name, values if values.shape[1] > 1 else values[:, 0], size=len(values))
-
-
-def _read(given: Any, folder: Path) -> Table:
-    """A file of rows (`tables`)."""
-    if not isinstance(given, str):
-        raise Problem(f"is {describe(given)}", "the name of a CSV file")
-    try:
-        return read_table(folder / given, words=True)
-    except TableError as error:
-        raise Problem(str(error), "a CSV text file") from None
+        right = "a header of keys, or one key with its table, such as start.orientation: {table: .}"
+        raise Problem(f"the first line of {table.path} names no distinct keys", right)
+    if table.words is not None:
+        made = [_listed(name, [row[i] for row in table.words]) for i, name in enumerate(keys)]
+    else:
+        columns = table.numbers.T.astype(np.float64)
+        made = [Column(*pair, size=len(pair[1])) for pair in zip(keys, columns, strict=True)]
+    found = {column.key: replace(column, table=table) for column in made}
+    for form, count in _FORMS:
+        parts = [(*ORIENTATION, form, i) for i in range(count)]
+        if all(part in found for part in parts):
+            for part in parts:
+                _check_numbers(found[part], keys.index(part) + 1)
+            vectors = np.stack([found.pop(part).take(np.arange(made[0].size)) for part in parts], 1)
+            if ORIENTATION in found:
+                raise Problem(f"{table.path} gives two forms of orientation", "one of them")
+            found[ORIENTATION] = Column(ORIENTATION, vectors, size=len(vectors), table=table)
+    return list(found.values())

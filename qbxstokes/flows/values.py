@@ -35,8 +35,8 @@ def number(value: object, name: str, *, positive: bool = False, key: Key | None 
     result = float(value)
     if not np.isfinite(result) or (positive and result <= 0.0):
         raise FlowError(f"{name} must be {right}, not {value!r}", at)
-    if abs(result) > LARGEST:
-        raise FlowError(f"{name} is {result:g}, beyond {LARGEST:g}", at)
+    if abs(result) > LARGEST or (positive and result < 1.0 / LARGEST):
+        raise FlowError(f"{name} is {result:g}, beyond 1e-50 to {LARGEST:g}", at)
     return result
 
 
