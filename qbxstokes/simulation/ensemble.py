@@ -24,6 +24,7 @@ from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
 from qbxstokes.simulation.ensemble_means import (
     Found,
     mean_stresses,
+    rates_with_flow,
     standard_error,
     stress_columns,
 )
@@ -236,7 +237,7 @@ class Ensemble:
             end_sample = int(windows[part][-1]) + weights.shape[2]
             samples = series.read(first, stop, low_sample, end_sample)
             if begin == 0:
-                spins = self._with_flow(samples[:, 0], axes)
+                spins = rates_with_flow(self.laws, samples[:, 0], axes)
             here = places[part]
             seen = np.zeros((len(here), b, q, 2))
             axes_seen = np.empty((keep, len(here), b, 3))
@@ -270,17 +271,6 @@ class Ensemble:
             sums["stresses"] = np.stack([columns.sum(axis=0), (columns**2).sum(axis=0)])
             sums["power_with_strain"] = np.einsum("pb,p->b", columns[..., -1], rates[:, 0])
         return (sums | {"axes": kept} if keep else sums), axes
-
-    def _with_flow(self, gradients: Array, axes: Array) -> Array:
-        """Rates dp/dt and spins about p of axes (n, B, 3) that turn with the flow, (n, B, 4)."""
-        a = gradients.reshape(-1, 1, 3, 3)
-        linear, rest = self.laws[:, 0, None, None], self.laws[:, 1, None, None]
-        back = np.swapaxes(a, 2, 3)
-        turning = rest * (a - back) + linear * np.where(linear < 0.0, back, a)
-        rates = (turning @ axes[..., None])[..., 0]
-        rates -= np.sum(rates * axes, axis=-1, keepdims=True) * axes
-        curl = np.stack([a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
-        return np.concatenate([rates, 0.5 * np.sum(curl * axes, axis=-1, keepdims=True)], axis=-1)
 
     def sampling(self) -> dict[str, Any]:
         """What the spacing of the samples leaves of the axes at the end, by the first block.

@@ -1,4 +1,4 @@
-"""What is found of bodies along many paths: means over paths and time with standard errors."""
+"""What is found of bodies along many paths: rates at first, means over paths and time at last."""
 
 from __future__ import annotations
 
@@ -68,6 +68,21 @@ class Found:
         counts, edges = self.counts[:, place], self.edges[place]
         share = counts[:, 1:-1] / counts.sum(axis=-1, keepdims=True)
         return edges, share / np.diff(edges)
+
+
+def rates_with_flow(laws: Array, gradients: Array, axes: Array) -> Array:
+    """Rates dp/dt and spins about p of axes (n, B, 3) that turn with gradients (n, 9), (n, B, 4).
+
+    laws (B, ...): lambda and 1/2 - |lambda|/2, by Jeffery's equation.
+    """
+    a = gradients.reshape(-1, 1, 3, 3)
+    linear, rest = laws[:, 0, None, None], laws[:, 1, None, None]
+    back = np.swapaxes(a, 2, 3)
+    turning = rest * (a - back) + linear * np.where(linear < 0.0, back, a)
+    rates = (turning @ axes[..., None])[..., 0]
+    rates -= np.sum(rates * axes, axis=-1, keepdims=True) * axes
+    curl = np.stack([a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    return np.concatenate([rates, 0.5 * np.sum(curl * axes, axis=-1, keepdims=True)], axis=-1)
 
 
 def standard_error(variance: Array, paths: int) -> Array:
