@@ -261,3 +261,68 @@ def test_large_files_count_by_their_ends(tmp_path: Path, monkeypatch: pytest.Mon
     os.utime(path, ns=(2 * 10**18, 2 * 10**18))
     seen.add(target.fingerprint(path))
     assert len(seen) == 6
+
+
+ROLLS = """
+import math
+import numpy as np
+
+def slow(x, t, s):
+    w = s * (1.0 + 0.3 * np.cos(t)) * np.exp(0.3 * x[:, 1])
+    return np.stack([w * np.cos(0.3 * x[:, 0]), w * np.sin(0.3 * x[:, 0]), 0.0 * w], axis=1)
+
+def fast(x, y, z, t, s):
+    w = s * (1.0 + 0.3 * math.cos(t)) * math.exp(0.3 * y)
+    return w * math.cos(0.3 * x), w * math.sin(0.3 * x), 0.0
+
+def steady(x, y, z):
+    return y, 0.0, 0.0
+
+def wrong(x, y, z):
+    return y
+
+def strange(x, y, z):
+    return open("a"), 0.0, 0.0
+"""
+
+
+def test_a_compiled_function_moves_a_body_as_the_plain_one(tmp_path: Path) -> None:
+    (tmp_path / "rolls.py").write_text(ROLLS)
+    case = {
+        "body": {"aspect_ratio": 0.2},
+        "flow": {
+            "type": "user",
+            "function": f"{tmp_path}/rolls.py:slow",
+            "parameters": {"s": 0.5},
+            "length": 3.0,
+        },
+        "start": {"orientation": {"axis": AXIS.tolist()}},
+        "time": {"end": 1.0, "samples": 3, "tolerance": 1e-8},
+    }
+    for stokes in (0.0, 1.0):
+        case["body"] = {"aspect_ratio": 0.2, "stokes_number": stokes}
+        plain = qs.run(case)
+        name = f"{tmp_path}/rolls.py:fast"
+        fast = qs.run({**case, "flow": {**case["flow"], "function": name, "compiled": True}})
+        for one in ("axis", "position", "orientation"):
+            assert np.abs(plain[one] - fast[one]).max() < 1e-10
+    with pytest.raises(FlowError, match=r"parameters are \['s'\]"):
+        qs.flow("user", function=name, compiled=True)
+
+
+def test_what_cannot_be_compiled_is_told(tmp_path: Path) -> None:
+    (tmp_path / "rolls.py").write_text(ROLLS)
+    for name, message in (("slow", "arguments"), ("wrong", "three numbers"), ("strange", "open")):
+        with pytest.raises(FlowError, match=message):
+            qs.flow(
+                "user",
+                function=f"{tmp_path}/rolls.py:{name}",
+                compiled=True,
+                parameters={"s": 1.0} if name == "slow" else None,
+            )
+    flow = qs.flow("user", function=f"{tmp_path}/rolls.py:steady", compiled=True)
+    assert flow.steady
+    axes = np.random.default_rng(1).normal(size=(5, 3))
+    found = qs.Simulation(qs.Body(0.5), flow, orientation=axes, tolerance=1e-8).integrate([2.0])
+    shear = qs.Simulation(qs.Body(0.5), qs.flow("shear"), orientation=axes).integrate([2.0])
+    assert np.abs(found.axis - shear.axis).max() < 1e-7

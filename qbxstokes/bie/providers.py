@@ -9,6 +9,7 @@ Polynomial flows need neither: their law is `FaxenCoefficients`.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from functools import cached_property
 from typing import Protocol
 
@@ -19,9 +20,13 @@ from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
 from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, motion_change
 from qbxstokes.errors import FlowError
-from qbxstokes.geometry.rotation import matrix
+from qbxstokes.geometry.rotation import matrix, multiply
 
 Array = NDArray[np.float64]
+
+
+# A third of a turn about (1, 1, 1) and back: each axis comes to lie along the others.
+_TURNS = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5]])
 
 
 class BackgroundFlow(Protocol):
@@ -44,6 +49,11 @@ class GridMotion:
         rotation = matrix(q)
         _, motion = self.in_body(t, x, rotation)
         return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+
+    @cached_property
+    def grid(self) -> tuple[Array, Array]:
+        """Points (N, 3) and weights (N, 3, 6)."""
+        return self._points, np.ascontiguousarray(np.moveaxis(self._weights, 0, 2))
 
     def in_body(self, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
         """Flow on the grid (n, N, 3) and free motion (n, 6), both in the body frame."""
@@ -139,22 +149,15 @@ class MonitoredGridMotion:
 
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
-        size = self._functional.grid.shape.radius
-        rotation, motion = matrix(q), np.empty((len(x), 6))
-        waiting, level = np.arange(len(x)), self._start
+        motion, waiting, level = np.empty((len(x), 6)), np.arange(len(x)), self._start
         while True:
-            coarse, fine = self._pair(level)
-            places, turns = x[waiting], rotation[waiting]
-            flow, motion[waiting] = fine.in_body(t, places, turns)
-            _, rough = coarse.in_body(t, places, turns)
-            with np.errstate(invalid="ignore"):
-                change = motion_change(motion[waiting], rough, flow, size)
+            motion[waiting], change = self._on_level(level, t, x[waiting], q[waiting])
             self.finest = max(self.finest, level)
             # No grid helps where the flow has no value: the motion has none, either.
             open_still = np.isfinite(motion[waiting]).all(axis=1) & ~(change <= self._least)
             waiting, change = waiting[open_still], change[open_still]
             if not len(waiting):
-                return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+                return motion[:, :3], motion[:, 3:]
             if level[0] >= MOST_NODES:
                 where = ", ".join(f"{value:.6g}" for value in x[waiting[0]])
                 raise FlowError(
@@ -163,6 +166,26 @@ class MonitoredGridMotion:
                     f"{level[0]} x {level[1]} points; a singular point must be very near"
                 )
             level = (min(_step(level[0] + 1), MOST_NODES), _step(level[1] + 1))
+
+    def calibrate(self, x: Array, q: Array) -> None:
+        """Begin with grids that serve a body at x (3,) that lies as q (4,) and two other ways."""
+        turned = [q, *(multiply(turn, q) for turn in _TURNS)]
+        with suppress(FlowError):  # told where the body comes to lie so
+            self.free_motion(0.0, np.broadcast_to(x, (len(turned), 3)), np.array(turned))
+            self._start = self.finest
+
+    def _on_level(
+        self, level: tuple[int, int], t: float, x: Array, q: Array
+    ) -> tuple[Array, Array]:
+        """U and Omega (n, 6) in space on the finer grid, and what the coarser one changes (n,)."""
+        coarse, fine = self._pair(level)
+        rotation = matrix(q)
+        flow, motion = fine.in_body(t, x, rotation)
+        _, rough = coarse.in_body(t, x, rotation)
+        with np.errstate(invalid="ignore"):
+            change = motion_change(motion, rough, flow, self._functional.grid.shape.radius)
+        parts = _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+        return np.concatenate(parts, axis=1), change
 
     def _pair(self, level: tuple[int, int]) -> tuple[GridMotion, GridMotion]:
         """The grid of these nodes and the one of two thirds of them, coarser first."""

@@ -40,7 +40,9 @@ class UserFlow(Flow):
     to a fifth of `length`, the length over which the flow varies, and of the distance to the
     nearest of `singular_points`; the relative errors are about 1e-12 (gradient), 1e-10
     (Laplacian) and 1e-8 (curl of the Laplacian). A function of x alone is steady.
-    `parameters` are passed on as keyword arguments.
+    `parameters` are passed on as keyword arguments. compiled: the function is one of numbers,
+    f(x, y, z), or f(x, y, z, t), and its parameters after these, with three numbers returned; numba
+    compiles it into the loops over the body's surface.
     """
 
     type_name = "user"
@@ -52,6 +54,7 @@ class UserFlow(Flow):
         singular_points: ArrayLike | None = None,
         parameters: Mapping[str, Any] | None = None,
         longest_step: float | None = None,
+        compiled: bool = False,
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
@@ -69,7 +72,19 @@ class UserFlow(Flow):
         else:
             shape = (len(np.atleast_2d(singular_points)), 3)
             self._singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
-        self._takes_time = self._has_time()
+        self.compiled, self.point_function = compiled, None
+        if compiled:
+            from qbxstokes.flows.compiled import compiled_function, field_of
+
+            self.point_function, timed = compiled_function(self.function, self.parameters)
+            self._takes_time, self._field = timed, field_of(self.point_function)
+        else:
+            self._takes_time = self._has_time()
+            self._field = self._called
+
+    def _called(self, x: Array, t: float) -> Any:
+        time = (t,) if self._takes_time else ()
+        return self.function(x.copy(), *time, **self.parameters)
 
     def _has_time(self) -> bool:
         """Whether a second argument is the time: called t or time, or one without a default."""
@@ -92,9 +107,8 @@ class UserFlow(Flow):
         """Velocity (..., 3); raises FlowFunctionError if the function fails, or returns others."""
         points = np.asarray(x, dtype=float)
         flat = points.reshape(-1, 3)
-        time = (t,) if self._takes_time else ()
         try:
-            result = np.asarray(self.function(flat.copy(), *time, **self.parameters))
+            result = np.asarray(self._field(flat, t))
         except (Exception, SystemExit) as error:
             raise FlowFunctionError(
                 f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
@@ -159,6 +173,7 @@ class UserFlow(Flow):
             "singular_points": self._singular_points.tolist(),
             "parameters": self.parameters,
             **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
+            **({"compiled": True} if self.compiled else {}),
         }
 
     def shifted(self, displacement: ArrayLike) -> Flow:

@@ -92,7 +92,15 @@ class RigidBodyEquations(Pieces):
 
         still: centres that stay, where y is to be without them (`motion.centred`, compiled alone).
         """
+        if self.direct:
+            found: Callable[[float, Array, Array], None] = self._provider.rates  # type: ignore[union-attr]
+            return found
         return self._compiled("rate_block", (still,)) if self.compiled(evaluations) else self.rates
+
+    @property
+    def direct(self) -> bool:
+        """Whether the provider finds dy/dt itself."""
+        return self._force_free and hasattr(self._provider, "rates")
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the blocks (n_lanes, n_state, n_state)."""

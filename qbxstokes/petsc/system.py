@@ -166,7 +166,8 @@ class System:
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
         counter, equations = self.counter, self.equations
 
-        if equations.layout.columns == 1 and not equations.compiled(self.expected):
+        alone = equations.layout.columns == 1
+        if alone and not (equations.direct or equations.compiled(self.expected)):
             single = equations.rate_of_rows
 
             def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
@@ -200,8 +201,13 @@ class System:
                     rate.setArray(self.layout.flat_by_lane(out.T))
                 else:  # in place: a copy would cost as much as a stage's vector operation
                     function(t, y, rate.getArray().reshape(out.shape))
+                if alone and equations.direct and not math.isfinite(rate.getArray().sum()):
+                    counter.refusal, counter.astray = None, True
+                    rate.set(0.0)
             except BaseException as failure:
-                if self.layout.bodies > 1 and isinstance(failure, (FlowError, ContactError)):
+                if (self.layout.bodies > 1 or alone) and isinstance(
+                    failure, (FlowError, ContactError)
+                ):
                     counter.refusal, counter.astray = failure, True
                     rate.set(0.0)  # whatever comes of it is taken back
                     return

@@ -120,14 +120,9 @@ class Ensemble:
         return np.unique(np.concatenate([[0], np.round(steps)]).astype(np.int64))
 
     @property
-    def strained(self) -> bool:
-        """Whether axes of strain are asked for."""
-        return any(name in STRAINS for name in self.settings.quantities)
-
-    @property
     def names(self) -> tuple[str, ...]:
-        """All that is found, in the order of the sums."""
-        return (*RATES, *STRAINS) if self.strained else RATES
+        """All that is found, in the order of the sums; axes of strain where they are asked for."""
+        return (*RATES, *STRAINS) if {*STRAINS} & {*self.settings.quantities} else RATES
 
     def with_laws(self, workshop: Workshop) -> Ensemble:
         """The same with the laws of the bodies, formed now."""

@@ -277,7 +277,12 @@ class Former:
         facts |= {"flow_nodes": [n_theta, n_phi], "flow_error": error}
         share = _FLOW_SHARE * self._section.tolerance
         if not len(self._flow.singular_points):
-            return MonitoredGridMotion(body.functional, self._flow, share, (n_theta, n_phi))
+            kind = MonitoredGridMotion
+            if getattr(self._flow, "point_function", None) is not None:
+                from qbxstokes.bie.compiled_motion import CompiledMotion as kind
+            found = kind(body.functional, self._flow, share, (n_theta, n_phi))
+            found.calibrate(self._need.position, self._need.quaternion)
+            return found
         motion = AdaptiveGridMotion(body.functional, self._flow, share)
         motion.calibrate(self._need.position, self._need.quaternion, n_theta)
         return motion
