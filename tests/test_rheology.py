@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.sparse.linalg import expm_multiply, spsolve
 
 import qbxstokes as qs
 from qbxstokes.errors import CaseError, QbxStokesError
@@ -14,7 +17,8 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import stress
 from qbxstokes.reference.jeffery import axis_at, period, rotation_resistance
 from qbxstokes.simulation.rheology import linear_flow
-from qbxstokes.suspension.fokker_planck import Transport
+from qbxstokes.suspension.distribution import Distribution
+from qbxstokes.suspension.fokker_planck import Transport, isotropic
 from qbxstokes.suspension.particle import LinearFlow, Particle
 
 SHEAR = qs.flow("shear")
@@ -154,6 +158,41 @@ def test_transients(rod: qs.Body) -> None:
     left = (steady.order_tensor - np.eye(3) / 3.0) * np.exp(-0.6 * times)[:, None, None]
     np.testing.assert_allclose(rest.order_tensor - np.eye(3) / 3.0, left, atol=1e-9)
     assert not rest.hydrodynamic_stress.any()
+
+
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_histories_by_other_ways(k: float) -> None:
+    """A start-up by matrix exponentials, a large oscillation by harmonic balance, to 1e-7."""
+    rod, number, amplitude, most = qs.Body(k), 20.0, 2.0, 16
+    transport = Transport(linear_flow(SHEAR, [0, 0, 0]), particle(k).linear)
+    basis, moved, laplacian = transport.operators(32)
+    spread, first = sparse.diags_array(laplacian / number), isotropic(basis)
+
+    def stress_of(c: np.ndarray, rate: float) -> np.ndarray:
+        second, fourth = Distribution(basis, transport.frame[0], c).moments()
+        flowing = particle(k).hydrodynamic_stress(second, fourth, transport.flow.strain)
+        return flowing * rate + particle(k).brownian_stress(second, 1.0 / number)
+
+    times = np.array([0.0, 1.0, 3.0, 9.0])
+    found = qs.rheology(rod, SHEAR, number, protocol="startup", times=times)
+    for t, one in zip(times, found.particle_stress, strict=True):
+        assert np.abs(one - stress_of(expm_multiply((moved + spread) * t, first), 1.0)).max() < 1e-7
+
+    found = qs.rheology(rod, SHEAR, number, protocol="oscillation", amplitude=amplitude)
+    w, order = found.summary["frequency"], np.arange(-most, most + 1)
+    beside = sparse.diags([0.5 * np.ones(2 * most)] * 2, [-1, 1])
+    balance = sparse.kron(sparse.diags(1j * w * order), sparse.eye(basis.size))
+    balance = balance - sparse.kron(sparse.eye(2 * most + 1), spread) - sparse.kron(beside, moved)
+    inner = np.arange(balance.shape[0]) % basis.size > 0  # the integral is kept
+    given = np.zeros(balance.shape[0], dtype=complex)
+    given[most * basis.size] = first[0]
+    source = -(balance.tocsr() @ given)
+    given[inner] = spsolve(balance.tocsc()[inner][:, inner], source[inner])
+    waves = given.reshape(2 * most + 1, -1)
+    for index in range(0, len(found.time), len(found.time) // 5):
+        t = found.time[index]
+        exact = stress_of((np.exp(1j * w * order * t) @ waves).real, math.cos(w * t))
+        assert np.abs(found.particle_stress[index] - exact).max() < 1e-7
 
 
 def test_small_oscillations_have_one_relaxation_time(rod: qs.Body) -> None:
