@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.from_bodies import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
     from qbxstokes.simulation.over_wall import OverWall as OverWall
+    from qbxstokes.simulation.repulsion import Repulsion as Repulsion
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
@@ -55,6 +56,7 @@ _PUBLIC = {
     "Spheroid": "qbxstokes.geometry.spheroid",
     "OverWall": "qbxstokes.simulation.over_wall",
     "Suspension": "qbxstokes.simulation.suspension",
+    "Repulsion": "qbxstokes.simulation.repulsion",
     "Wall": "qbxstokes.simulation.wall",
     "build_flow": "qbxstokes.flows",
     "ensemble": "qbxstokes.simulation.ensemble",

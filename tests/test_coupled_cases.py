@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 import qbxstokes as qs
+from qbxstokes.bie.coupling import gaps_of
 from qbxstokes.errors import CaseError
+from qbxstokes.geometry import rotation
 from qbxstokes.plots.motion import drawings
 
 WALL = {"type": "wall", "normal": [0, 0, 1]}
@@ -47,6 +50,15 @@ def test_a_table_stands_for_the_bodies(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     tabled = qs.run({**PAIR, "bodies": {"table": "bodies.csv"}})
     assert np.array_equal(tabled.resistance, qs.run(PAIR).resistance)
+    with h5py.File("bodies.h5", "w") as file:
+        file["aspect_ratio"], file["size"] = [0.5, 1.0], [1.0, 0.5]
+        file["position"] = [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]]
+    tabled = qs.run({**PAIR, "bodies": {"table": "bodies.h5"}})
+    assert np.array_equal(tabled.resistance, qs.run(PAIR).resistance)
+    with h5py.File("wrong.h5", "w") as file:
+        file["position"] = [1.0, 2.0]
+    with pytest.raises(CaseError, match=r"position, of shape \(2,\), is no quantity of bodies"):
+        qs.run({**PAIR, "bodies": {"table": "wrong.h5"}})
     for header, told in (("sise", "did you mean size"), ("position_1,size", "position_2 is miss")):
         (tmp_path / "wrong.csv").write_text(
             f"{header},aspect_ratio\n" + "1," * (1 + header.count(",")) + "1\n"
@@ -150,6 +162,42 @@ def test_a_sweep_computes_scenes_alone_and_tells_those_that_touch() -> None:
     assert moved.table["status"].tolist() == [1, 2]
     assert b"body 2 and the wall: the gap is -1" in moved.table["reason"][1]
     assert np.array_equal(moved.trajectory(0).position, qs.run(moving).position)
+
+
+def test_a_repulsion_is_the_slope_of_its_potential_and_holds_bodies_apart() -> None:
+    bodies, wall = [qs.Body(0.5), qs.Body(2.0, size=0.7)], qs.Wall(normal=[0, 0, 1])
+    scene, push = qs.Suspension(bodies, wall), qs.Repulsion(2.0, 0.3)
+    x = np.array([[0.0, 0.0, 1.3], [2.8, 0.3, 1.4]])
+    q = rotation.from_axis(np.array([[0.6, 0.0, 0.8], [0.2, 0.3, 1.0]]))
+
+    def energy(x: np.ndarray, q: np.ndarray) -> float:
+        gaps = [gap.gap for gap, _, _ in gaps_of(scene.placed(x, q), scene.plane)]
+        return float(0.6 * np.exp(-np.array(gaps) / 0.3).sum())
+
+    force, torque = push.loads(scene.placed(x, q), scene.plane)
+    step = 1e-5
+    for body, part in np.ndindex(2, 3):
+        moved, spin = np.zeros((2, 3)), np.zeros((2, 4))
+        moved[body, part] = step
+        spin[body, 1 + part] = 0.5 * step
+        turned = [rotation.normalize(q + s * rotation.multiply(spin, q)) for s in (1.0, -1.0)]
+        slope = (energy(x + moved, q) - energy(x - moved, q)) / (2.0 * step)
+        turn = (energy(x, turned[0]) - energy(x, turned[1])) / (2.0 * step)
+        assert force[body, part] == pytest.approx(-slope, abs=1e-8)
+        assert torque[body, part] == pytest.approx(-turn, abs=1e-8)
+    case = {
+        "body": {"aspect_ratio": 1.0},
+        "start": {"position": [0, 0, 1.2]},
+        "surroundings": WALL,
+        "forces": {"force": [0, 0, -5]},
+        "repulsion": {"strength": 20, "range": 0.1},
+        "time": {"end": 20, "samples": 2, "tolerance": 1e-2},
+        "hydrodynamics": {"tolerance": 1e-2},
+    }
+    found = qs.run(case)  # the weight is borne where 20 exp(-gap/0.1) = 5
+    assert found.position[-1, 2] == pytest.approx(1.0 + 0.1 * np.log(4.0), abs=3e-3)
+    with pytest.raises(CaseError, match="repulsion: has no meaning for one body"):
+        qs.run({**case, "surroundings": None, "flow": {"type": "shear"}})
 
 
 def test_inertia_follows_the_drag() -> None:

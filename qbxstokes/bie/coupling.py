@@ -23,7 +23,7 @@ are those of the space frame; force and torque are exerted by the bodies ON the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -46,9 +46,8 @@ Coefficients = Sequence[ComplexArray]
 # edge to edge fall slower, by exp(-SLOW a) a node.
 FACTOR, SLOW = 400.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
-# Polar nodes that the grids of an error estimate have less, the relative error that both solutions
-# may have in common, and that of sums at mirrored points, where second derivatives count: in
-# tolerances of the problem.
+# Polar nodes that the grids of an error estimate have less; relative errors, in tolerances of the
+# problem, that both solutions may share, and of sums at mirrored points: second derivatives count.
 _LESS, _SHARED, _MIRRORED = 2, 0.01, 0.1
 # Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
 KEPT_NUMBERS = 1.5e8
@@ -103,19 +102,24 @@ def closest(bodies: Sequence[Placed], wall: Plane | None) -> tuple[float, tuple[
     """Least gap of the scene, its pair (-1: the wall), and each body's least rate (`gaps.Gap`)."""
     rates = np.full(len(bodies), np.inf)
     least, who = np.inf, (0, -1)
+    for gap, b, c in gaps_of(bodies, wall):
+        if gap.gap < least:
+            least, who = gap.gap, (b, c)
+        rates[b] = min(rates[b], gap.rates[0])
+        if c >= 0:
+            rates[c] = min(rates[c], gap.rates[1])
+    return float(least), who, rates
+
+
+def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Iterator[tuple[gaps.Gap, int, int]]:
+    """The gap of every pair, and who it is between: a body and an earlier one, or -1, the wall."""
     for b, body in enumerate(bodies):
-        found = [(_pair(body, bodies[c]), c) for c in range(b)]
+        for c in range(b):
+            yield _pair(body, bodies[c]), b, c
         if wall is not None:
             height = float(wall.height(body.position))
             k, size = body.ratio, body.size
-            found.append((gaps.wall_gap(height, wall.normal, body.axis, k, size), -1))
-        for gap, c in found:
-            if gap.gap < least:
-                least, who = gap.gap, (b, c)
-            rates[b] = min(rates[b], gap.rates[0])
-            if c >= 0:
-                rates[c] = min(rates[c], gap.rates[1])
-    return float(least), who, rates
+            yield gaps.wall_gap(height, wall.normal, body.axis, k, size), b, -1
 
 
 def _pair(body: Placed, other: Placed) -> gaps.Gap:

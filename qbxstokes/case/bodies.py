@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
 from qbxstokes.case.model import Direction, Positive, Reader, Section, Vector, key, several
 from qbxstokes.case.scene import WITH_FLOW, Body, Forces, Start
 from qbxstokes.case.values import Problem, at, describe, meant
@@ -31,6 +33,13 @@ class Surroundings(Section):
             raise Problem("has no meaning for type: unbounded", "leave it out", (given[0],))
 
 
+class Repulsion(Section):
+    """A short-range force strength exp(-gap/range) that keeps bodies apart, and off the wall."""
+
+    strength: Positive = key("force at contact (mu c^2/tau)", example=10.0)
+    range: Positive = key("gap over which it falls by e", example=0.02)
+
+
 class BodyEntry(Body):
     """One of several bodies: its shape and size, where it starts, and what acts on it."""
 
@@ -46,7 +55,7 @@ _MANY = several(BodyEntry)
 
 def _bodies(value: Any) -> tuple[BodyEntry, ...]:
     if not isinstance(value, (list, tuple)):
-        right = "a list of bodies, or {table: FILE.csv}"
+        right = "a list of bodies, or {table: FILE} of CSV or HDF5"
         raise Problem(f"is {describe(value)}", right)
     if not 1 <= len(value) <= MOST:
         raise Problem(f"holds {len(value)} bodies", f"1 to {MOST}")
@@ -84,21 +93,54 @@ def expanded(value: Any, folder: Path) -> Any:
         return value
     with at("table"):
         if not isinstance(value["table"], str):
-            raise Problem(f"is {describe(value['table'])}", "the name of a CSV file")
-        try:
-            table = read_table(folder / value["table"])
-        except TableError as error:
-            raise Problem(str(error), "a header and one line a body") from None
-        for name in table.names or ("",):
+            raise Problem(f"is {describe(value['table'])}", "the name of a CSV or HDF5 file")
+        path = folder / value["table"]
+        names, numbers = _datasets(path) if path.suffix in (".h5", ".hdf5") else _lines(path)
+        for name in names or ("",):
             if name not in _NAMES:
                 right = meant(name, _NAMES, f"columns of {', '.join(_NAMES)}")
-                raise Problem(f"{table.path}: {name or 'has no header'} is no column", right)
-        lacking = [f"{n}_{p}" for n in _PARTS for p in _PARTS[n] if f"{n}_{p}" not in table.names]
+                raise Problem(f"{path}: {name or 'has no header'} is no column", right)
+        lacking = [f"{n}_{p}" for n in _PARTS for p in _PARTS[n] if f"{n}_{p}" not in names]
         for name in lacking:
             whole = name.rpartition("_")[0]
-            if any(other.rpartition("_")[0] == whole for other in table.names):
-                raise Problem(f"{table.path}: {name} is missing", f"all components of {whole}")
-        return [_entry(table.names, row.tolist()) for row in table.numbers]
+            if any(other.rpartition("_")[0] == whole for other in names):
+                raise Problem(f"{path}: {name} is missing", f"all components of {whole}")
+        return [_entry(names, row) for row in numbers]
+
+
+def _lines(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
+    """Names of columns, and a row for each body, of a CSV file."""
+    try:
+        table = read_table(path)
+    except TableError as error:
+        raise Problem(str(error), "a header and one line a body") from None
+    return table.names, table.numbers.tolist()
+
+
+def _datasets(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
+    """The same of an HDF5 file with a dataset of each quantity: position (N, 3), size (N,)."""
+    import h5py
+
+    right = "an HDF5 file with datasets such as aspect_ratio (N,) and position (N, 3)"
+    try:
+        with h5py.File(path) as file:
+            found = {name: np.asarray(file[name][()], dtype=np.float64) for name in file}
+    except (OSError, TypeError, ValueError) as error:
+        raise Problem(f"{path}: cannot be read ({error})", right) from None
+    names, columns = [], []
+    for name, values in found.items():
+        parts = _PARTS.get(name)
+        if name not in _COLUMNS or values.shape[1:] != (() if parts is None else (len(parts),)):
+            wrong = f"{path}: {name}, of shape {values.shape}, is no quantity of bodies"
+            raise Problem(wrong, meant(name, _COLUMNS, right))
+        names += [name] if parts is None else [f"{name}_{part}" for part in parts]
+        columns.append(values[:, None] if parts is None else values)
+    if not columns or len({len(values) for values in columns}) > 1:
+        raise Problem(f"{path}: its datasets are not of one length", right)
+    numbers = np.concatenate(columns, axis=1)
+    if not np.isfinite(numbers).all():
+        raise Problem(f"{path}: holds what is no finite number", right)
+    return tuple(names), numbers.tolist()
 
 
 def _entry(names: tuple[str, ...], row: list[float]) -> dict[str, Any]:

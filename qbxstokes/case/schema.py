@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from qbxstokes.case.bodies import (
     Bodies,
     BodyEntry,
+    Repulsion,
     Surroundings,
     check_members,
     coupled,
@@ -121,11 +122,14 @@ class Case(Section, **_MOVED, **_WITHIN):
     title: str = key("a line that names the case in summaries", "")
     body: Body = key("the body; of several: bodies", None)
     bodies: Bodies | None = key(
-        "several bodies in one fluid: a list of bodies, or {table: FILE.csv}",
+        "several bodies in one fluid: a list of bodies, or {table: FILE} (CSV, HDF5)",
         None,
         [{"aspect_ratio": 0.5}, {"aspect_ratio": 1.0, "size": 2.0}],
     )
     surroundings: Surroundings | None = key("what bounds the fluid; unset: nothing", None)
+    repulsion: Repulsion | None = key(
+        "a short-range force between bodies, and off the wall; unset: none", None
+    )
     units: Units | None = key("physical scales; other keys then take numbers with units", None)
     flow: FlowSection | None = key("the background flow (unset: none, with task: body or bodies)")
     start: Start = key("state at time 0", Start())
@@ -209,6 +213,9 @@ class Case(Section, **_MOVED, **_WITHIN):
         if self.coupled:
             check_members(self.members, self.forces, self.bodies is not None)
         else:
+            if self.repulsion is not None:
+                wrong = "has no meaning for one body in an unbounded fluid"
+                raise Problem(wrong, "leave it out", ("repulsion",))
             self._check_forces()
             self._check_uniform_radius()
 

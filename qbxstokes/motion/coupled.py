@@ -47,7 +47,7 @@ class SharedFluid(Protocol):
     def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
         """Force and torque of the fluid ON the bodies of given velocities."""
 
-    def loads(self, t: float, q: Array) -> tuple[Array, Array]:
+    def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Force and torque from outside."""
 
     def gradient(self, t: float, x: Array) -> Array:
@@ -81,7 +81,7 @@ class CoupledEquations(RigidBodyEquations):
         self._ratios, self._relaxation = ratios, relaxation
         self._mass = stokes_number * volume
         self._moments = stokes_number[:, None] * inertia
-        self._table, self._loads, self._changing = None, None, False
+        self._table, self._loads, self._changing, self._force_free = None, None, False, False
         self._latest: tuple[float, Array, tuple[Array, Array]] | None = None
 
     @property
@@ -122,7 +122,7 @@ class CoupledEquations(RigidBodyEquations):
         if self.massless:
             return rate
         force, torque = self.fluid.drag(t, x, q, v, omega)
-        push, turn = self.fluid.loads(t, q)
+        push, turn = self.fluid.loads(t, x, q)
         rate[:, VELOCITY] = (force + push) / self._mass[:, None]
         w = y[:, SPIN]
         about = rotation.to_body(q, torque + turn) - np.cross(w, self._moments * w)
@@ -142,7 +142,7 @@ class CoupledEquations(RigidBodyEquations):
         """Hydrodynamic force and torque ON the bodies (space frame), each (N, 3)."""
         q = rotation.normalize(y[:, ORIENTATION])
         if self.massless:
-            force, torque = self.fluid.loads(t, q)
+            force, torque = self.fluid.loads(t, y[:, POSITION], q)
             return 0.0 - force, 0.0 - torque
         v, omega = self.velocities(t, y)
         return self.fluid.drag(t, y[:, POSITION], q, v, omega)

@@ -58,7 +58,7 @@ def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]
     gap, who = scene.closest(scene.places)
     summary: dict[str, Any] = {"gap": gap, "nearest": who}
     free = scene.solved("free", 0.0, x, q)
-    if scene.flow is not None or scene.loads is not None:
+    if any(part is not None for part in (scene.flow, scene.loads, scene.repulsion)):
         arrays |= {"free_velocity": free.velocity, "free_angular_velocity": free.angular_velocity}
         arrays["stresslet"] = components(free.stresslet)
         names = {"velocity": "free_velocity", "angular_velocity": "free_angular_velocity"}

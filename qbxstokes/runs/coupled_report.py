@@ -41,7 +41,12 @@ def scene(loaded: LoadedCase) -> Rows:
         wall = case.wall
         yield "wall", f"through ({vector(wall.point)}), normal ({vector(wall.normal)})"
     if case.flow is not None:
-        yield "flow", flow_text(loaded)
+        checked = "; moves with the wall on it" if case.wall is not None else ""
+        yield "flow", flow_text(loaded) + checked
+    if case.repulsion is not None:
+        push = case.repulsion
+        size = f"{quantity(push.strength)} exp(-gap/{quantity(push.range)})"
+        yield "repulsion", f"{size} along the gap of every pair: no part of the hydrodynamics"
 
 
 def sections(summary: Mapping[str, Any]) -> dict[str, Rows]:

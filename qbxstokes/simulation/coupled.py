@@ -23,6 +23,7 @@ from qbxstokes.simulation.wall import Wall
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.over_wall import OverWall
+    from qbxstokes.simulation.repulsion import Repulsion
     from qbxstokes.simulation.solved import Solution
     from qbxstokes.simulation.together import CoupledMotion, Together
 
@@ -35,7 +36,8 @@ class CoupledSimulation(Simulation):
     position (N, 3), orientation (N, 3) or (N, 4), loads (N, 3) each; of a single body that is given
     as itself and not in a list they may be without the first axis. resolution: relative error of
     the velocities to aim at; that of the motion where None. table: one body by a wall moves by
-    `qs.OverWall`, where the flow and the gap allow. comm: of PETSc, over whose ranks the
+    `qs.OverWall`, where the flow and the gap allow. repulsion: a force that keeps the bodies apart,
+    beside the loads. comm: of PETSc, over whose ranks the
     bodies are dealt. herald: told of every problem before it is solved, for other ranks to join in.
     The rest as in `Simulation`.
     """
@@ -56,6 +58,7 @@ class CoupledSimulation(Simulation):
         tolerance: float = 1e-6,
         resolution: float | None = None,
         table: bool = False,
+        repulsion: Repulsion | None = None,
         comm: Any = None,
     ) -> None:
         self.several = isinstance(bodies, Sequence)
@@ -74,6 +77,7 @@ class CoupledSimulation(Simulation):
         turn = np.asarray(orientation, dtype=np.float64)
         q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
         self.quaternion = np.array(np.broadcast_to(q, (len(members), 4)))
+        self.repulsion = repulsion
         self.loads, self.events = loads, section("events", EventSettings, events)
         self.constraints = None
         if constraints is not None:
@@ -101,11 +105,16 @@ class CoupledSimulation(Simulation):
             raise SceneError("table", "is asked for", "one body by a wall")
         return OverWall(body, wall, tolerance=self.suspension.tolerance)
 
-    def forces(self, t: float, q: Array) -> dict[str, Any]:
-        """Force and torque (N, 3) from outside, space frame, at a time and orientations (N, 4)."""
-        if self._rows is None:
+    def forces(self, t: float, x: Array, q: Array) -> dict[str, Any]:
+        """Force and torque (N, 3) not of the fluid on bodies at centres x (N, 3), turned by q."""
+        if self._rows is None and self.repulsion is None:
             return {}
-        force, torque = self._rows.in_space(t, q)
+        force, torque = np.zeros((2, len(self), 3))
+        if self._rows is not None:
+            force, torque = self._rows.in_space(t, q)
+        if self.repulsion is not None:
+            push, turn = self.repulsion.loads(self.suspension.placed(x, q), self.suspension.plane)
+            force, torque = force + push, torque + turn
         return {"force": force, "torque": torque}
 
     def solved(
@@ -127,7 +136,7 @@ class CoupledSimulation(Simulation):
         suspension, flow = self.suspension, self.flow
         if kind == "held":
             return suspension.held(flow, x, q, t=t, nodes=nodes, **motion)
-        found = suspension.free(flow, x, q, t=t, nodes=nodes, **self.forces(t, q))
+        found = suspension.free(flow, x, q, t=t, nodes=nodes, **self.forces(t, x, q))
         if kind == "estimate":
             found.error_estimate  # noqa: B018  # found by all ranks
         return found

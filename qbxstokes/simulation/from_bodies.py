@@ -17,6 +17,7 @@ from qbxstokes.motion.loads import Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.coupled import CoupledSimulation
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_quaternion
+from qbxstokes.simulation.repulsion import Repulsion
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.timed import timed
 from qbxstokes.simulation.wall import Wall
@@ -36,7 +37,7 @@ def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
         Body(shape=body.outline, size=body.size, stokes_number=body.stokes_number)
         for body in case.members
     ]
-    wall = case.wall
+    wall, push = case.wall, case.repulsion
     return CoupledSimulation(
         bodies if case.bodies is not None else bodies[0],
         None if case.flow is None else loaded.flow,
@@ -49,6 +50,7 @@ def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
         events=case.events,
         tolerance=case.hydrodynamics.tolerance if case.time is None else case.time.tolerance,
         resolution=case.hydrodynamics.tolerance,
+        repulsion=None if push is None else Repulsion(push.strength, push.range),
         table=wall is not None and case.hydrodynamics.solve == "functional",
         comm=comm,
     )

@@ -77,17 +77,17 @@ class Fluid:
             self._terms = table.flow_terms(scene.flow, t)
         try:
             if motion is None:
-                load = np.hstack(self.loads(t, q))
+                load = np.hstack(self.loads(t, x, q))
                 return table.motion(self._terms, x, rotation.axis(q), load)
             drag = table.drag(self._terms, x[0], rotation.axis(q)[0], motion[0])
         except (ContactError, SceneError):
             return None
         return drag[None, :3], drag[None, 3:]
 
-    def loads(self, t: float, q: Array) -> tuple[Array, Array]:
+    def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Force and torque from outside."""
         still = np.zeros((len(q), 3))
-        found = self.scene.forces(t, q)
+        found = self.scene.forces(t, x, q)
         return found.get("force", still), found.get("torque", still)
 
     def gradient(self, t: float, x: Array) -> Array:
