@@ -42,7 +42,8 @@ class Quantity:
     @property
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each component."""
-        return self.parts or tuple(f"{self.symbol}_{part}" for part in self.components)
+        form = "{}_{}" if all(len(part) == 1 for part in self.components) else "{}_{{{}}}"
+        return self.parts or tuple(form.format(self.symbol, part) for part in self.components)
 
     @property
     def heading(self) -> str:

@@ -81,6 +81,24 @@ def test_recorded_in_files_and_sweeps() -> None:
     assert "stresslet" not in qs.run({**case, "output": {}}).names
 
 
+def test_recorded_stresses_are_drawn() -> None:
+    """Normal components in one panel, the others in the next; of a motion in Python, too."""
+    fields = ["axis", "particle_stress"]
+    case = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "output": {"fields": fields}}
+    times = np.linspace(0.0, 9.0, 31)
+    result = qs.run({**case, "start": {"orientation": {"axis": [1, 0, 1]}}, "time": {"at": times}})
+    motion = qs.Body(0.5).integrate(qs.flow("shear"), times, orientation=[1, 0, 1])
+    assert "stress" in result.kinds
+    for drawn, picture in ((result, "stress"), (motion, "particle_stress")):
+        lines = [axes.get_lines() for axes in drawn.plot(picture).axes]
+        assert [[line.get_label() for line in panel] for panel in lines] == [
+            [rf"$\Sigma_{{{pair}}}$" for pair in pairs]
+            for pairs in (("11", "22", "33"), ("12", "13", "23"))
+        ]
+        shear = lines[1][0].get_ydata()
+        np.testing.assert_allclose(shear, motion.particle_stress[:, 0, 1], atol=1e-9)
+
+
 def test_means_over_turns_and_axes() -> None:
     """Each orbit's mean to 1e-8, whatever part of a turn is left over; that of all orbits."""
     body, axes = qs.Body(0.4), [[1.0, 1.0, 1.0], [1.0, 0.2, 0.0]]

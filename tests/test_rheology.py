@@ -299,7 +299,12 @@ def test_tables_for_others(tmp_path: Path) -> None:
     rows = np.loadtxt(name, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(rows[:, 2].reshape(5, 8), result.distribution[0])
     assert name.read_text().startswith("theta,phi,density\n")
-    # The axes are starts of a sweep; the density is none.
+    # The axes are starts of a transient and of a sweep; the density is none.
+    start = {"protocol": "startup", "times": [0, 1], "peclet_number": ["inf"]}
+    follow = {**CASE, "rheology": {**start, "orientations": {"table": str(drawn)}}}
+    p = result.samples[0]
+    second = qs.run(follow).order_tensor[0, 0]
+    np.testing.assert_allclose(second, p.T @ p / len(p), atol=1e-12)
     motion = {"body": {"aspect_ratio": 0.2}, "flow": {"type": "shear"}, "time": {"at": [0, 1]}}
     starts = [{"start.orientation": {"table": str(drawn)}}]
     swept = qs.run({**motion, "sweep": {"axes": starts}})

@@ -77,6 +77,7 @@ _STACKS = {
     "constant": ("orbit_constant",),
     "velocity": ("velocity",),
     "loads": ("force", "torque"),
+    "stress": ("stresslet", "particle_stress"),
 }
 _ALL = ("position", "velocity", *_ROTATION, "orbit_constant", "force", "torque")
 KINDS: dict[str, str] = {
@@ -86,6 +87,7 @@ KINDS: dict[str, str] = {
     "path": "path and drift of the centre",
     "velocity": "velocity of the centre",
     "loads": "force and torque",
+    "stress": "stresslet and particle stress",
     "overview": "all that changes in time on one page",
 }
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.source import ResultLike, instants, samples, units
-from qbxstokes.quantities import RECORDABLE
+from qbxstokes.quantities import RECORDABLE, STRESS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,6 +105,21 @@ def _three(result: ResultLike, name: str) -> list[Panel]:
     return [draw]
 
 
+def stress_panels(result: ResultLike, name: str) -> list[Panel]:
+    """Panels of a symmetric tensor's normal and of its other components."""
+    times, values, about = instants(result), samples(result, name, 6), RECORDABLE[name]
+
+    def panel(part: slice) -> Panel:
+        def draw(axes: Axes) -> None:
+            curves = zip(about.symbols[part], values[:, part].T, strict=True)
+            draw_lines(axes, times, [(f"${symbol}$", component) for symbol, component in curves])
+            style.set_ylabel(axes, about.heading, units(result, name))
+
+        return draw
+
+    return [panel(slice(0, 3)), panel(slice(3, 6))]
+
+
 def constant_panels(result: ResultLike) -> list[Panel]:
     """The orbit constant, and how far it has gone from its value at the start.
 
@@ -165,6 +180,8 @@ def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
         if _worth_drawing(result, name):
             if name == "orbit_constant":
                 found += constant_panels(result)
+            elif name in STRESS:
+                found += stress_panels(result, name)
             else:
                 draw = _three if name in ("axis", "euler_angles") else vector_panels
                 found += draw(result, name)

@@ -25,6 +25,7 @@ from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology
 from qbxstokes.suspension.langevin import FUNCTIONS, Ensemble, Sums
+from qbxstokes.tables import TableError, read_table
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -166,16 +167,14 @@ def orientations_of(loaded: LoadedCase) -> tuple[Any, Array | None]:
         if k is None:
             raise loaded.error("rheology.orientations", "are orbits", "axes: this shape has no k")
         return orbit_axis(k, np.array(value), 0.0), None
-    path = loaded.path.parent / value
     try:
-        rows = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
-    except (OSError, ValueError) as error:
-        wrong = f"{path}: cannot be read ({' '.join(str(error).split())})"
-        right = "lines of x1, x2, x3 and perhaps weight"
-        raise loaded.error("rheology.orientations.table", wrong, right) from None
-    if rows.shape[1] not in (3, 4) or not np.isfinite(rows).all():
-        wrong = f"{path}: has {rows.shape[1]} columns, or what is no number"
-        raise loaded.error("rheology.orientations.table", wrong, "x1, x2, x3 and perhaps weight")
+        rows = np.asarray(read_table(loaded.path.parent / value).numbers)
+        if rows.shape[1] not in (3, 4) or not np.isfinite(rows).all():
+            wrong = f"has {rows.shape[1]} columns, or what is no number"
+            raise TableError(f"{loaded.path.parent / value}: {wrong}")
+    except TableError as error:
+        right = "x1, x2, x3 and perhaps weight"
+        raise loaded.error("rheology.orientations.table", str(error), right) from None
     return rows[:, :3], rows[:, 3] if rows.shape[1] == 4 else None
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
-from qbxstokes.geometry.symmetric import symmetric
+from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
@@ -109,14 +109,15 @@ class Motion:
     def plot(self, kind: str = "", ax: Any = None, *, lane: int = 0) -> Any:
         """A picture as of a result file: see `Result.plot`; lane: which, of several.
 
-        kind: orbit, rotation, constant, path, velocity, loads, overview, or a quantity's name.
+        kind: orbit, rotation, constant, path, velocity, loads, overview, or a quantity's name, such
+        as particle_stress.
         """
         from qbxstokes.plots.choice import plot
 
         count = math.prod(self.position.shape[:-2])
         if not 0 <= lane < count:
             raise SceneError("lane", f"is {lane}", f"a number from 0 to {count - 1}")
-        return plot(_Drawn(self, lane), kind, ax, {})
+        return plot(_Drawn(self, lane, kind), kind, ax, {})
 
     @cached_property
     def stresslet(self) -> Array:
@@ -230,10 +231,12 @@ class _Drawn:
 
     path, task = Path("motion"), "motion"
 
-    def __init__(self, motion: Motion, lane: int) -> None:
+    def __init__(self, motion: Motion, lane: int, kind: str) -> None:
         rows = {name: motion._rows(getattr(motion, name))[:, lane] for name in MOTION}
+        if kind in STRESS:  # computed where it is asked for alone
+            rows[kind] = components(motion._rows(getattr(motion, kind))[:, lane])
         self.arrays: Mapping[str, Any] = {"time": motion.time, **rows}
-        self.attributes = {name: {"units": MOTION[name].units} for name in MOTION}
+        self.attributes = {name: {"units": RECORDABLE[name].units} for name in rows}
         self.summary = motion.summary
         self.provenance: dict[str, Any] = {}
         self.groups: dict[str, dict[str, Any]] = {}
