@@ -128,3 +128,20 @@ def fault(entry: str) -> str:
         return f"{entry!r} is no number; write a point for the comma: {point}"
     shown = entry if len(entry) <= 40 else entry[:37] + "..."
     return f"{shown!r} is no finite number"
+
+
+def read_datasets(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Finite numbers (N, ...) of all datasets of an HDF5 file, by name; raises TableError."""
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            found = {name: np.asarray(file[name][()], dtype=np.float64) for name in file}
+    except (OSError, TypeError, ValueError) as error:
+        raise TableError(f"{path}: cannot be read ({error})") from None
+    if not found or len({values.shape[:1] for values in found.values()} - {()}) != 1:
+        raise TableError(f"{path}: has no datasets of one length")
+    for name, values in found.items():
+        if not values.ndim or not np.isfinite(values).all():
+            raise TableError(f"{path}: {name} is no row of finite numbers")
+    return found

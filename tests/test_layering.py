@@ -41,7 +41,7 @@ HOMES = {
     "petsc4py": {"petsc"},
     "mpi4py": {"petsc", "runs", "cli"},
     "yaml": {"case"},
-    "h5py": {"io", "flows"},
+    "h5py": {"io", "flows", "tables"},
     "matplotlib": {"plots"},
     "pint": {"units"},
     "pandas": {"io"},

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-
 from qbxstokes.case.model import Direction, Positive, Reader, Section, Vector, key, several
 from qbxstokes.case.scene import WITH_FLOW, Body, Forces, Start
 from qbxstokes.case.values import Problem, at, describe, meant
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.tables import TableError, read_table
+from qbxstokes.tables import TableError, read_datasets, read_table
 
 # What a scene with several bodies or a wall aims at where the case does not say.
 TOLERANCE = 1e-6
@@ -119,28 +117,23 @@ def _lines(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
 
 def _datasets(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
     """The same of an HDF5 file with a dataset of each quantity: position (N, 3), size (N,)."""
-    import h5py
-
-    right = "an HDF5 file with datasets such as aspect_ratio (N,) and position (N, 3)"
     try:
-        with h5py.File(path) as file:
-            found = {name: np.asarray(file[name][()], dtype=np.float64) for name in file}
-    except (OSError, TypeError, ValueError) as error:
-        raise Problem(f"{path}: cannot be read ({error})", right) from None
-    names, columns = [], []
+        found = read_datasets(path)
+    except TableError as error:
+        right = "datasets such as aspect_ratio (N,) and position (N, 3)"
+        raise Problem(str(error), right) from None
     for name, values in found.items():
-        parts = _PARTS.get(name)
-        if name not in _COLUMNS or values.shape[1:] != (() if parts is None else (len(parts),)):
+        width = (len(_PARTS[name]),) if name in _PARTS else ()
+        if name not in _COLUMNS or values.shape[1:] != width:
             wrong = f"{path}: {name}, of shape {values.shape}, is no quantity of bodies"
-            raise Problem(wrong, meant(name, _COLUMNS, right))
-        names += [name] if parts is None else [f"{name}_{part}" for part in parts]
-        columns.append(values[:, None] if parts is None else values)
-    if not columns or len({len(values) for values in columns}) > 1:
-        raise Problem(f"{path}: its datasets are not of one length", right)
-    numbers = np.concatenate(columns, axis=1)
-    if not np.isfinite(numbers).all():
-        raise Problem(f"{path}: holds what is no finite number", right)
-    return tuple(names), numbers.tolist()
+            raise Problem(wrong, meant(name, _COLUMNS, f"some of {', '.join(_COLUMNS)}"))
+    names: list[str] = []
+    rows: list[list[float]] = [[] for _ in next(iter(found.values()))]
+    for name, values in found.items():
+        names += [f"{name}_{part}" for part in _PARTS[name]] if name in _PARTS else [name]
+        for row, more in zip(rows, values.reshape(len(values), -1).tolist(), strict=True):
+            row += more
+    return tuple(names), rows
 
 
 def _entry(names: tuple[str, ...], row: list[float]) -> dict[str, Any]:
