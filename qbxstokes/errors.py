@@ -46,6 +46,13 @@ class MissingPackageError(CaseError, ModuleNotFoundError):
     """A library that only this needs is not installed."""
 
 
+class SinglePrecisionWarning(UserWarning):
+    """Numbers were rounded to single precision before; those taken instead satisfy what they must.
+
+    On the command line it is one line on standard error.
+    """
+
+
 def needed(package: str, what: str) -> Any:
     """The library that `what` alone needs; raises MissingPackageError that says how to get it."""
     try:

@@ -1,9 +1,12 @@
 """Every background flow against its differential equations, and the refusals."""
 
+import json
+
 import numpy as np
 import pytest
 
-from qbxstokes.errors import FlowError
+from qbxstokes.bie.faxen import stokes_polynomials
+from qbxstokes.errors import FlowError, SinglePrecisionWarning
 from qbxstokes.flows import (
     REGISTRY,
     Flow,
@@ -488,7 +491,7 @@ def test_paths_of_user_functions_are_resolved_in_sums_too(tmp_path):
         ({"type": "shear", "rate": float("nan")}, "finite"),
         ({"type": "shear", "rate": True}, "finite number, not True"),
         ({"type": "linear"}, "needs 'gradient'"),
-        ({"type": "linear", "gradient": np.diag([1, 1, 1])}, r"trace 3 .* diagonal \[0., 0., 0.\]"),
+        ({"type": "linear", "gradient": np.diag([1, 1, 1])}, r"trace 3, .* is \[\[0.0, 0.0"),
         ({"type": "linear", "gradient": [1, 2]}, "3 x 3"),
         ({"type": "linear", "gradient": [[1, 2], [3]]}, "3 x 3"),
         ({"type": "extension", "kind": "odd"}, "one of uniaxial, biaxial, planar"),
@@ -517,6 +520,44 @@ def test_paths_of_user_functions_are_resolved_in_sums_too(tmp_path):
 def test_wrong_specifications_say_what_would_be_right(spec, message):
     with pytest.raises(FlowError, match=message):
         build_flow(spec)
+
+
+def test_numbers_of_single_precision_are_rounded_to_the_nearest_right_ones():
+    """As read from a file of float32: accepted, set right and told; further off refused."""
+    rng = np.random.default_rng(8)
+    matrix = rng.standard_normal((3, 3))
+    matrix += matrix.T - 2.0 * np.trace(matrix) / 3.0 * np.eye(3)
+    turn = rotation.matrix(rotation.random_quaternions(1, rng)[0])
+    second, third = (
+        np.tensordot(rng.standard_normal(len(basis)), basis, axes=1)
+        for basis in map(stokes_polynomials, (2, 3))
+    )
+    for spec, key in (
+        ({"type": "linear", "gradient": matrix}, "gradient"),
+        ({"type": "stresslet", "strength": matrix, "position": [0, 0, 9]}, "strength"),
+        ({"type": "shear", "rotation": turn}, "rotation"),
+        ({"type": "polynomial", "hessian": second, "third": third}, "third"),
+    ):
+        rough = {
+            k: v.astype(np.float32) if isinstance(v, np.ndarray) else v for k, v in spec.items()
+        }
+        with pytest.warns(SinglePrecisionWarning, match="single precision"):
+            flow = build_flow(rough)
+        x, exact = rng.standard_normal((5, 3)), build_flow(spec)
+        np.testing.assert_allclose(flow.velocity(x), exact.velocity(x), rtol=0, atol=1e-5)
+        assert np.abs(np.einsum("nii->n", flow.gradient(x))).max() < 1e-13
+        assert np.abs(flow.vorticity_of_laplacian(x)).max() < 1e-8
+        wrong = spec[key].copy()
+        wrong[(0,) * wrong.ndim] += 1e-4
+        with pytest.raises(FlowError):
+            build_flow({**spec, key: wrong})
+
+
+def test_the_nearest_gradient_that_is_told_works():
+    wrong = np.array([[0.1234567, 1.0, 0.0], [0.0, 0.2, 0.0], [0.3, 0.0, -0.33]])
+    with pytest.raises(FlowError) as caught:
+        build_flow({"type": "linear", "gradient": wrong})
+    build_flow({"type": "linear", "gradient": json.loads(str(caught.value).partition(" is ")[2])})
 
 
 def test_rotations_may_be_given_in_three_ways():

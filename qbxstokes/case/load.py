@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from qbxstokes.case.document import (
 from qbxstokes.case.schema import FOREIGN, Case, keys
 from qbxstokes.case.sweep import TABLE, TRAJECTORY, Sweep, SweepSpace, build_space
 from qbxstokes.case.values import Key, Problem, at, meant
-from qbxstokes.errors import CaseError, FlowError
+from qbxstokes.errors import CaseError, FlowError, SinglePrecisionWarning
 
 if TYPE_CHECKING:
     from qbxstokes.flows import Flow
@@ -39,6 +40,7 @@ class LoadedCase:
     flow: Flow
     path: Path
     space: SweepSpace | None = None
+    remarks: tuple[str, ...] = ()
 
     def error(self, key: Key | str, wrong: str, right: str = "") -> CaseError:
         """A CaseError that points at `key` in the file."""
@@ -118,7 +120,11 @@ def from_document(document: Document, path: Path, space: SweepSpace | None = Non
             space = space or _space(document.data, path.parent)
             document = _first_point(document, space)
     case = validate(document)
-    return LoadedCase(case, document, _build_flow(case, document, path), path, space)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", SinglePrecisionWarning)
+        flow = _build_flow(case, document, path)
+    remarks = dict.fromkeys(f"flow: {warning.message}" for warning in found)
+    return LoadedCase(case, document, flow, path, space, tuple(remarks))
 
 
 def _space(data: dict[str, Any], folder: Path) -> SweepSpace:

@@ -218,6 +218,8 @@ def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
             status = max(status, _fail(error))
             continue
         reports.append({"case": word, "valid": True, "resolved": loaded.resolved()})
+        for remark in loaded.remarks:
+            print(f"{word}: {remark}", file=sys.stderr)
         if not (options.quiet or options.json):
             print(f"{word}: valid, task {loaded.case.task}")
     if options.json:

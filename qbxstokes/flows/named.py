@@ -17,7 +17,7 @@ from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.changing import LinearInTime, in_time
 from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.values import Array, check_keys, number, tensor
+from qbxstokes.flows.values import Array, check_keys, number, settled, tensor, traceless
 
 _EXTENSIONS = {
     "uniaxial": (1.0, -0.5, -0.5),
@@ -58,14 +58,8 @@ class Linear(PolynomialFlow):
     def __init__(self, gradient: ArrayLike) -> None:
         """Raises FlowError if the gradient has a trace."""
         matrix = tensor(gradient, "gradient", (3, 3))
-        trace = float(np.trace(matrix))
-        if abs(trace) > 1e-12 * float(np.abs(matrix).max()):
-            right = np.array2string(np.diag(matrix) - trace / 3.0, separator=", ")
-            raise FlowError(
-                f"the gradient has trace {trace:.6g} and must have none (incompressible "
-                f"fluid); the nearest traceless one has the diagonal {right}",
-                ("gradient",),
-            )
+        must = f"the gradient, of trace {np.trace(matrix):.6g}, must have none (div u = 0)"
+        matrix = settled(matrix, traceless(matrix), must, ("gradient",))
         super().__init__(gradient=matrix)
         self._spec = {"type": self.type_name, "gradient": matrix.tolist()}
 

@@ -15,7 +15,7 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.user import resolve_paths
-from qbxstokes.flows.values import Array, check_keys, number, whole
+from qbxstokes.flows.values import SINGLE, Array, check_keys, number, whole
 from qbxstokes.tables import TableError, read_table
 
 OUTSIDE = "error", "clamp", "repeat"
@@ -140,7 +140,7 @@ class GradientSeries:
         size = max(size, -least)
         third = (a[..., 0] + a[..., 4] + a[..., 8]) / 3.0
         self.trace = max(self.trace, 3.0 * float(np.abs(third).max()) / size if size else 0.0)
-        if self.trace_rule == "error" and self.trace > TRACE:
+        if self.trace_rule == "error" and self.trace > SINGLE:
             raise FlowError(f"the gradients have a trace, {self.trace:.3g} of their size")
         for i in (0, 4, 8):
             a[..., i] -= third

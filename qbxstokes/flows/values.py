@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, SinglePrecisionWarning
 from qbxstokes.expressions import LARGEST
 
 Array = NDArray[np.float64]
 Key = tuple[str | int, ...]
+# What rounding leaves of numbers of double and of single precision, relative to the largest.
+DOUBLE, SINGLE = 1e-12, 1e-6
 
 
 def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> None:
@@ -66,6 +69,35 @@ def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None
     return result
 
 
+def settled(given: Array, nearest: Array, must: str, key: Key = ()) -> Array:
+    """Numbers that differ from the nearest right ones by rounding alone, or FlowError.
+
+    must: what is asked of them. Where the difference is that of single precision, the nearest are
+    taken, with a SinglePrecisionWarning.
+    """
+    off, size = float(np.abs(given - nearest).max()), float(np.abs(given).max())
+    if off <= DOUBLE * size:
+        return given
+    if off > SINGLE * size:
+        near = f"; the nearest that does is {nearest.tolist()}" if nearest.size < 10 else ""
+        raise FlowError(must + near, key)
+    told = f"{must}: taken as the nearest that does, {off / size:.0e} away (single precision)"
+    warnings.warn(told, SinglePrecisionWarning, stacklevel=2)
+    return nearest
+
+
+def traceless(derivatives: Array) -> Array:
+    """The nearest derivatives of a flow, (3, ...) with one index of it and n of space, div u = 0.
+
+    Isotropic parts are taken off, which keeps them symmetric in the indices of space.
+    """
+    trace, rank = np.einsum("ii...->...", derivatives), derivatives.ndim
+    away = np.zeros_like(derivatives)
+    for axis in range(1, rank):
+        away += np.moveaxis(np.multiply.outer(np.eye(3), trace), 1, axis)
+    return np.asarray(derivatives - away / (rank + 1.0))
+
+
 def rotation_matrix(value: Any, name: str = "rotation") -> Array:
     """Rotation matrix (3, 3) from a quaternion, an axis and angle, or a matrix, or FlowError.
 
@@ -98,6 +130,7 @@ def rotation_matrix(value: Any, name: str = "rotation") -> Array:
     if len(rows) != 3:
         raise FlowError(right, (name,))
     matrix = tensor(value, name, (3, 3))
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-10 or np.linalg.det(matrix) < 0.0:
+    left, _, across = np.linalg.svd(matrix)
+    if np.linalg.det(left @ across) < 0.0:
         raise FlowError(right, (name,))
-    return matrix
+    return settled(matrix, left @ across, right, (name,))

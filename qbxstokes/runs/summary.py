@@ -174,6 +174,7 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
 
 def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     """What standard error is told after a summary."""
+    yield from loaded.remarks
     time, compared = loaded.case.time, loaded.case.compare.tolerance
     if time is not None:
         yield from out_of_reach(summary, time.tolerance)
