@@ -15,10 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
-from qbxstokes.flows.series import TRACE, GradientSeries, series_of_file
+from qbxstokes.flows.series import GradientSeries, series_of_file
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import Array, check_keys, number, tensor
+from qbxstokes.flows.values import (
+    DOUBLE,
+    SINGLE,
+    Array,
+    check_keys,
+    number,
+    settled,
+    tensor,
+    traceless,
+)
 
 
 class LinearInTime(Flow):
@@ -73,20 +82,20 @@ class LinearInTime(Flow):
             raise FlowError(f"the gradient {wrong}", ("gradient",)) from error
         matrix = tensor(given, f"the gradient at t = {t:.6g}", (3, 3), ("gradient",))
         trace = float(np.trace(matrix))
-        if abs(trace) > TRACE * float(np.abs(matrix).max()):
+        if abs(trace) > SINGLE * float(np.abs(matrix).max()):
             raise FlowError(
                 f"the gradient has trace {trace:.6g} at t = {t:.6g} and must have none "
                 "(incompressible fluid)",
                 ("gradient",),
             )
-        return matrix
+        return settled(matrix, traceless(matrix), "the gradients must have no trace (div u = 0)")
 
     def numbers(self, t: float) -> list[float]:
         """The nine numbers of the gradient at time t, by rows; raises FlowError as `at` does."""
         try:
             found: list[float] = np.asarray(self._gradient(t), dtype=np.float64).ravel().tolist()
             trace, size = found[0] + found[4] + found[8], max(map(abs, found))
-            if len(found) == 9 and abs(trace) <= TRACE * size < math.inf:
+            if len(found) == 9 and abs(trace) <= DOUBLE * size < math.inf:
                 return found
         except Exception:
             pass

@@ -20,7 +20,6 @@ from qbxstokes.tables import TableError, read_table
 
 OUTSIDE = "error", "clamp", "repeat"
 TRACES = "project", "error"
-TRACE = 1e-12  # relative to the gradient: rounding
 
 
 class GradientSeries:

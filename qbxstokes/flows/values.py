@@ -81,7 +81,7 @@ def settled(given: Array, nearest: Array, must: str, key: Key = ()) -> Array:
     if off > SINGLE * size:
         near = f"; the nearest that does is {nearest.tolist()}" if nearest.size < 10 else ""
         raise FlowError(must + near, key)
-    told = f"{must}: taken as the nearest that does, {off / size:.0e} away (single precision)"
+    told = f"{must}: the nearest that does is taken, within single precision"
     warnings.warn(told, SinglePrecisionWarning, stacklevel=2)
     return nearest
 
