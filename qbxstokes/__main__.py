@@ -34,12 +34,12 @@ def share_threads() -> None:
 
 
 class _Remarks(io.TextIOWrapper):
-    """Standard error that ends no run when whoever read it has stopped: `2>&1 | head`."""
+    """Standard error that ends no run where nobody reads it, `2>&1 | head`, or a disk is full."""
 
     def write(self, text: str, /) -> int:
         try:
             return super().write(text)
-        except BrokenPipeError:
+        except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
             return len(text)
 
@@ -50,9 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(_ALLOCATIONS)
     # Pictures are drawn into files: a notebook's backend may not be there.
     os.environ.pop("MPLBACKEND", None)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 (closed: >&-)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may not know all signs
         sys.stdout.reconfigure(errors="backslashreplace")
-    if isinstance(sys.stderr, io.TextIOWrapper):  # and not closed, or taken by a test
+    if isinstance(sys.stderr, io.TextIOWrapper):  # and not taken by a test
         told = sys.stderr
         sys.stderr = _Remarks(told.buffer, told.encoding, told.errors, line_buffering=True)
     from qbxstokes.cli.main import run_command

@@ -88,6 +88,20 @@ def test_an_output_that_is_full_is_told(write_case: Callable[..., Path], tmp_pat
     assert len(qs.load(tmp_path / "case.h5").time) == 3  # the result itself is there
 
 
+def test_outputs_that_are_closed_or_full_end_nothing(
+    write_case: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = write_case(MOTION)
+    command = f"{sys.executable} -m qbxstokes"
+    full = [f"{command} {path.name} --overwrite 2>/dev/full"] if Path("/dev/full").exists() else []
+    for line in (f"{command} info {path.name} >&-", f"{command} --version 2>&-", *full):
+        keys = {"cwd": tmp_path, "env": os.environ | ENVIRONMENT, "text": True}
+        qs.run(path, file=tmp_path / "case.h5") if not (tmp_path / "case.h5").exists() else None
+        (tmp_path / "case-orbit.pdf").write_text("older, which is remarked")
+        done = subprocess.run(["sh", "-c", line], capture_output=True, **keys)
+        assert (done.returncode, "Traceback" in done.stderr) == (0, False), line
+
+
 def closed_pipe(folder: Path, *words: str, both: bool = False) -> tuple[int, str]:
     """Exit status and standard error where nobody reads the output (`| true`, `2>&1 | true`)."""
     read, write = os.pipe()

@@ -221,6 +221,14 @@ def test_loads_leave_out_the_torque_that_vanishes(result: Result) -> None:
     np.testing.assert_array_equal(drawn(axes[0], "$F_1$")[1], result.force[:, 0])
 
 
+def test_infinite_orbit_constants_stand_in_a_legend() -> None:
+    orbits, k = np.repeat([0.5, np.inf], 2), np.array([0.5, 2.0] * 2)
+    held = Columns("table", {"start_orbit_constant": orbits, "aspect_ratio": k, "period": k})
+    spec = {"x": "aspect_ratio", "y": "period", "by": "start_orbit_constant"}
+    (axes,) = figure_of(held, spec).axes
+    assert axes.get_legend_handles_labels()[1][1].endswith(r"= $\infty$")
+
+
 def test_powers_of_ten_stand_in_the_label() -> None:
     with style.styled():
         axes = style.new_figure(3.0, 2.0).add_subplot()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import os
 import sys
@@ -135,7 +134,6 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         return 0
     if not options.files:
         raise CaseError(f"command line: {command} needs a result file")
-    gc.set_threshold(100_000, 20)  # pictures are many small objects, few of them in cycles
     written = {"plot": _plot, "animate": _animate, "export": _export}[command](options)
     if options.json:
         print(json.dumps([str(path) for path in written], indent=2))

@@ -294,6 +294,8 @@ def _number(value: float) -> str:
     """A number with four digits, powers of ten written as such."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e4:
         return f"{value:.4g}"
+    if not math.isfinite(value):
+        return r"$\infty$" if value > 0.0 else f"{value:g}"
     digits, power = f"{value:.3e}".split("e")
     factor = "" if float(digits) == 1.0 else rf"{float(digits):g}\times "
     return f"${factor}10^{{{int(power)}}}$"
