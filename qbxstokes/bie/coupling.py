@@ -247,17 +247,12 @@ class Coupled:
         c = one.coefficients(v)
         return c, one.harmonics.force_torque(c) / np.diag(one.resistance)
 
-    @cached_property
-    def rigid_flows(self) -> list[ComplexArray]:
-        """Flows (6, ...) of the rigid motions of each body alone."""
-        return [np.stack([one.coefficients(v) for v in one.rigid]) for one in self.maps]
-
     def flows(self, velocities: Sequence[Array], free: bool) -> list[ComplexArray]:
         """Exterior flows of the own bodies: E v, or M v for free bodies."""
         found = []
         for b, v in zip(self.rows, velocities, strict=True):
             c, motion = self.alone(b, v)
-            found.append(c - np.tensordot(motion, self.rigid_flows[b], 1) if free else c)
+            found.append(c - np.tensordot(motion, self.maps[b].rigid_flows, 1) if free else c)
         return found
 
     # -- what arrives -------------------------------------------------------------------------
@@ -356,7 +351,7 @@ class Coupled:
     def loaded(self, b: int, load: Array) -> tuple[Array, ComplexArray]:
         """Motion alone (6,), map's units, of body b under a load (6,) of space; and its flow."""
         motion = self.to_body(b, load, forces=True) / np.diag(self.maps[b].resistance)
-        return motion, np.tensordot(motion, self.rigid_flows[b], 1)
+        return motion, np.tensordot(motion, self.maps[b].rigid_flows, 1)
 
 
 def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:

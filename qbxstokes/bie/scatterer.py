@@ -37,8 +37,13 @@ class Scatterer(SurfaceToExterior):
     @cached_property
     def resistance(self) -> Array:
         """Resistance (6, 6) of the body alone: (force, torque) on the fluid per velocity."""
-        columns = [self.harmonics.force_torque(self.coefficients(v)) for v in self.rigid]
+        columns = [self.harmonics.force_torque(flow) for flow in self.rigid_flows]
         return np.diag(np.diag(np.stack(columns, axis=1)))
+
+    @cached_property
+    def rigid_flows(self) -> ComplexArray:
+        """Flows (6, ...) of the rigid motions."""
+        return np.stack([self.coefficients(v) for v in self.rigid])
 
     @cached_property
     def root_weights(self) -> Array:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_ITERATIONS = 200
 
 
 @dataclass(frozen=True)
@@ -84,63 +83,12 @@ def pair_gap(
 ) -> Gap:
     """Gap between two spheroids whose centres are `apart` (second less first)."""
 
-    def objective(m: Array) -> float:
-        return float(m @ apart) - sum(map(support, (m, m), axes, ratios, sizes))
+    from qbxstokes.geometry.gap_kernel import direction
 
-    def ascent(m: Array) -> Array:
-        points = map(contact_point, (m, m), axes, ratios, sizes)
-        return np.asarray(apart - sum(points))
-
-    distance = np.linalg.norm(apart)
-    if distance == 0.0:  # one within the other
-        m = np.eye(3)[0]
-        return Gap(objective(m), m, (0.0, 0.0))
-    m = apart / distance
-    value = objective(m)
-    for _ in range(_ITERATIONS):
-        # The gradient is the vector between the two points of contact: parallel to m at the best.
-        slope = ascent(m)
-        across = slope - (slope @ m) * m
-        if np.linalg.norm(across) < 1e-13 * distance:
-            break
-        step = _newton(m, across, slope, axes, ratios, sizes)
-        length = 1.0
-        while length > 1e-9:
-            new = m + length * step
-            new /= np.linalg.norm(new)
-            trial = objective(new)
-            if trial >= value - 1e-15:
-                break
-            length *= 0.5
-        if length <= 1e-9:
-            break
-        m, value = new, trial
+    m = np.empty(3)
+    value = direction(apart, np.stack(axes), np.array(ratios), np.array(sizes), m)
     both = list(zip((m, -m), axes, ratios, sizes, strict=True))
     rates = [
         _rate(value, *one, _radius(*other)) for one, other in zip(both, both[::-1], strict=True)
     ]
-    return Gap(value, m, (rates[0], rates[1]))
-
-
-def _newton(
-    m: Array,
-    across: Array,
-    slope: Array,
-    axes: tuple[Array, Array],
-    ratios: tuple[float, float],
-    sizes: tuple[float, float],
-) -> Array:
-    """Newton's step on the sphere (tangential, 3), or steepest ascent where it does not ascend."""
-    hessian = np.zeros((3, 3))
-    for axis, k, size in zip(axes, ratios, sizes, strict=True):
-        matrix = size**2 * (k * k * np.eye(3) + (1.0 - k * k) * np.outer(axis, axis))
-        h = support(m, axis, k, size)
-        hessian -= matrix / h - np.outer(matrix @ m, matrix @ m) / h**3
-    # On the sphere the curvature of the constraint adds -(slope.m) in the tangent plane.
-    tangent = np.linalg.svd(m[None, :])[2][1:]
-    reduced = tangent @ hessian @ tangent.T - (slope @ m) * np.eye(2)
-    top = float(np.linalg.eigvalsh(reduced)[-1])
-    scale = float(np.abs(reduced).max())
-    if top > -1e-3 * scale:
-        reduced -= (top + 0.1 * scale) * np.eye(2)
-    return np.asarray(-tangent.T @ np.linalg.solve(reduced, tangent @ across))
+    return Gap(float(value), m, (rates[0], rates[1]))

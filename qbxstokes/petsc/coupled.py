@@ -101,7 +101,7 @@ def own_bodies(nodes: list[int], comm: Any) -> list[int]:
     own = []
     for b in sorted(range(len(nodes)), key=lambda b: (-nodes[b], b)):
         rank = int(np.argmin(load))
-        load[rank] += nodes[b] ** 4
+        load[rank] += nodes[b] ** 2  # its points, at which all flows are summed
         if rank == comm.getRank():
             own.append(b)
     return sorted(own)

@@ -348,7 +348,7 @@ class Suspension:
         for b, v in zip(problem.rows, problem.split(x), strict=True):
             c, own = problem.alone(b, v)
             motion = problem.to_space(b, alone[b][0] - own)
-            sent.append((driven[b] + c - np.tensordot(own, problem.rigid_flows[b], 1), motion))
+            sent.append((driven[b] + c - np.tensordot(own, problem.maps[b].rigid_flows, 1), motion))
         sent = solver.gathered(sent)
         motions = np.stack([motion for _, motion in sent])
         took, flows = solver.latest, [flow for flow, _ in sent]

@@ -1,0 +1,106 @@
+"""The direction of the gap between two spheroids, compiled: a concave problem on the sphere.
+
+Imported only when bodies share a fluid.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from qbxstokes.folders import compiled_are_kept
+
+_ITERATIONS = 200
+
+
+@njit(cache=compiled_are_kept())
+def value(m, apart, axes, ratios, sizes):  # type: ignore[no-untyped-def]
+    """m.apart less the half widths of both bodies along m."""
+    total = 0.0
+    for i in range(3):
+        total += m[i] * apart[i]
+    for body in range(2):
+        k2, along = ratios[body] ** 2, 0.0
+        for i in range(3):
+            along += m[i] * axes[body, i]
+        total -= sizes[body] * math.sqrt(k2 + (1.0 - k2) * along * along)
+    return total
+
+
+@njit(cache=compiled_are_kept())
+def _slopes(m, apart, axes, ratios, sizes, slope, hessian):  # type: ignore[no-untyped-def]
+    """Fill the gradient (3,), the vector between the points of contact, and Hessian (3, 3)."""
+    slope[:] = apart
+    hessian[:] = 0.0
+    for body in range(2):
+        k2, scale, along = ratios[body] ** 2, sizes[body] ** 2, 0.0
+        for i in range(3):
+            along += m[i] * axes[body, i]
+        h = sizes[body] * math.sqrt(k2 + (1.0 - k2) * along * along)
+        for i in range(3):
+            p = scale * (k2 * m[i] + (1.0 - k2) * along * axes[body, i])
+            slope[i] -= p / h
+            for j in range(3):
+                q = scale * (k2 * m[j] + (1.0 - k2) * along * axes[body, j])
+                part = scale * (1.0 - k2) * axes[body, i] * axes[body, j]
+                part += scale * k2 if i == j else 0.0
+                hessian[i, j] -= part / h - p * q / h**3
+
+
+@njit(cache=compiled_are_kept())
+def direction(apart, axes, ratios, sizes, m):  # type: ignore[no-untyped-def]
+    """Make m (3,) the unit direction of the largest value, which is returned.
+
+    Newton's step on the sphere, made an ascent where the problem is flat, and halved until it
+    climbs. apart (3,): second centre less first; axes (2, 3), ratios (2,), sizes (2,).
+    """
+    slope, hessian, new = np.empty(3), np.empty((3, 3)), np.empty(3)
+    e, f, trial = np.empty(3), np.empty(3), 0.0
+    length = math.sqrt(np.sum(apart * apart))
+    m[:] = apart / length
+    best = value(m, apart, axes, ratios, sizes)
+    for _ in range(_ITERATIONS):
+        _slopes(m, apart, axes, ratios, sizes, slope, hessian)
+        radial = np.sum(slope * m)
+        # Two unit vectors across m.
+        least = 0
+        for i in range(3):
+            if abs(m[i]) < abs(m[least]):
+                least = i
+        e[:] = -m[least] * m
+        e[least] += 1.0
+        e /= math.sqrt(np.sum(e * e))
+        f[0] = m[1] * e[2] - m[2] * e[1]
+        f[1] = m[2] * e[0] - m[0] * e[2]
+        f[2] = m[0] * e[1] - m[1] * e[0]
+        a, b = np.sum(slope * e), np.sum(slope * f)
+        if math.sqrt(a * a + b * b) < 1e-13 * length:
+            break
+        # On the sphere the curvature of the constraint adds -(slope.m) in the tangent plane.
+        ee, ef, ff = -radial, 0.0, -radial
+        for i in range(3):
+            for j in range(3):
+                ee += e[i] * hessian[i, j] * e[j]
+                ef += e[i] * hessian[i, j] * f[j]
+                ff += f[i] * hessian[i, j] * f[j]
+        top = 0.5 * (ee + ff) + math.sqrt(0.25 * (ee - ff) ** 2 + ef * ef)
+        scale = max(abs(ee), abs(ef), abs(ff))
+        if top > -1e-3 * scale:
+            ee -= top + 0.1 * scale
+            ff -= top + 0.1 * scale
+        det = ee * ff - ef * ef
+        step_e, step_f = -(ff * a - ef * b) / det, -(ee * b - ef * a) / det
+        part = 1.0
+        while part > 1e-9:
+            new[:] = m + part * (step_e * e + step_f * f)
+            new /= math.sqrt(np.sum(new * new))
+            trial = value(new, apart, axes, ratios, sizes)
+            if trial >= best - 1e-15:
+                break
+            part *= 0.5
+        if part <= 1e-9:
+            break
+        m[:], best = new, trial
+    return best
