@@ -4,6 +4,7 @@ Every error a user can cause or meet derives from `QbxStokesError`; the command 
 message (what, where, what would be right) and leaves with `exit_status`.
 """
 
+import sys
 from importlib import import_module
 from typing import Any
 
@@ -58,7 +59,11 @@ def needed(package: str, what: str) -> Any:
     try:
         return import_module(package)
     except ModuleNotFoundError:
-        right = f"python -m pip install {package}"
+        import shutil
+
+        # Of the interpreter that runs, which need not be the one that `python` means.
+        python = "python" if shutil.which("python") == sys.executable else sys.executable
+        right = f"{python} -m pip install {package}"
         raise MissingPackageError(
             f"{what} needs {package}, which is not installed: {right}"
         ) from None

@@ -183,6 +183,9 @@ def drawings(
     many = random and len(columns.everything) >= _CLOUD and "final_orientation_0" in columns.values
     if ORIENTATIONS in kinds or (many and not kinds):
         found[ORIENTATIONS] = partial(orientations, sweep)
+    if not found:
+        right = "--x and --y draw columns of its table, --trajectory N a motion"
+        raise CaseError(f"{sweep.path}: no summary calls for a picture; {right}")
     return found
 
 
