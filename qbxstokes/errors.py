@@ -114,3 +114,7 @@ class OutputError(QbxStokesError):
 
 class ResultFileError(CaseError):
     """A result file is missing, truncated, or was not written by this program."""
+
+
+class HeldFileError(ResultFileError):
+    """A result file that another program writes, or has open to write."""

@@ -13,6 +13,7 @@ import pytest
 from conftest import ROOT
 
 from qbxstokes.errors import CaseError, ResultFileError
+from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import load
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.motion.observables import OBSERVABLES
@@ -160,6 +161,31 @@ def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:
     for bad in ("missing.h5", "."):
         with pytest.raises(ResultFileError):
             load(tmp_path / bad)
+
+
+HOLDER = "import h5py, sys; f = h5py.File(sys.argv[1], 'r+'); print('held', flush=True); input()"
+
+
+def test_a_file_that_another_program_writes_is_neither_damaged_nor_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    with ResultWriter(path, "motion", {}) as writer:
+        writer.append({"time": [0.0]})
+        writer.finish({"steps": 1})
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(ResultFileError, match="another program has it open to write; wait"):
+            load(path)
+        with pytest.raises(CaseError, match="another program has it open to write; wait"):
+            check_writable(path, overwrite=True)
+        other.communicate("\n")
+    assert load(path).time.tolist() == [0.0]
+    check_writable(path, overwrite=True)
 
 
 def test_result_converts_to_pandas_and_xarray(tmp_path: Path) -> None:

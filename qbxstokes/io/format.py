@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from qbxstokes.errors import HeldFileError
+
 if TYPE_CHECKING:
     import h5py
 
@@ -30,7 +32,7 @@ _ATTRIBUTE_LIMIT = 16_384  # HDF5 refuses attributes above 64 KiB; long texts be
 
 
 def open_file(path: str | Path) -> h5py.File:
-    """An HDF5 file opened for reading; raises OSError for one that is damaged where that shows.
+    """An HDF5 file opened for reading; raises HeldFileError, or OSError where damage shows.
 
     All of its structure bears checksums but for the heaps of texts. HDF5 walks through these by the
     lengths that stand in them, for ever where such a length is zero.
@@ -42,7 +44,13 @@ def open_file(path: str | Path) -> h5py.File:
         with open(path, "rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
             for begin in sorted({0, max(0, size - _LOOKED_AT)}):
                 _check_heaps(data, begin, min(size, begin + _LOOKED_AT))
-    return h5py.File(path, "r")
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if "unable to lock file" in str(error):
+            wrong = "another program has it open to write; wait until it has closed it"
+            raise HeldFileError(f"{path}: {wrong}") from None
+        raise
 
 
 def _check_heaps(data: mmap.mmap, begin: int, end: int) -> None:

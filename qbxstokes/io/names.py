@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from qbxstokes.errors import CaseError, ResultFileError
+from qbxstokes.errors import CaseError, HeldFileError, ResultFileError
 from qbxstokes.io.format import FORMAT, open_file, stored_text
 
 
@@ -79,7 +79,7 @@ def told_by(path: Path, name: str, complete: bool = False) -> str | None:
                 return None
             held = file["provenance"]
             return str(held.attrs[name] if name in held.attrs else held[name].asstr()[()])
-    except (OSError, KeyError):
+    except (OSError, KeyError, HeldFileError):
         return None
 
 
@@ -93,6 +93,8 @@ def newest(path: str | Path) -> Path:
         return path
     found = _results_of(path.name, Path().glob("*.h5"))
     if not found:
+        with contextlib.suppress(OSError):
+            open_file(path.with_suffix(".h5").name).close()  # HeldFileError, if it is one's own
         raise ResultFileError(f"{path}: has no result here; run the case, or name its result file")
     return found[-1]
 

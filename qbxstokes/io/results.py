@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import ResultFileError
+from qbxstokes.errors import HeldFileError, ResultFileError
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, is_dimension, open_file, read_tree
 from qbxstokes.io.listing import Held, listing
 from qbxstokes.io.names import newest
@@ -177,12 +177,10 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._held:
-            import h5py
-
             if name not in self.shapes:
                 raise KeyError(name)
             try:
-                with h5py.File(self.path, "r") as file:
+                with open_file(self.path) as file:
                     self._held[name] = file[name][()]
             except OSError as error:
                 raise _damaged(self.path, error) from None
@@ -238,11 +236,9 @@ class SweepResult(Result):
 
         Only its own samples are read. `provenance["swept"]` holds its swept values.
         """
-        import h5py
-
         from qbxstokes.io.export import texts
 
-        with h5py.File(self.path, "r") as file:
+        with open_file(self.path) as file:
             if not 0 <= number < len(file["table"]):
                 raise IndexError(f"no trajectory {number} among {len(file['table'])}")
             row = file["table"][number : number + 1]
@@ -347,7 +343,7 @@ def shows_parts(path: Path) -> bool:
     try:
         with open_file(path) as file:
             return file.attrs.get("format") == FORMAT and PARTS in file
-    except OSError:
+    except (OSError, HeldFileError):
         return False
 
 
