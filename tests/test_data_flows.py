@@ -13,9 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import qbxstokes as qs
-from qbxstokes.errors import FlowError, SceneError
+from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.runs import target
+from qbxstokes.simulation.ensemble import Ensemble
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -326,3 +327,53 @@ def test_what_cannot_be_compiled_is_told(tmp_path: Path) -> None:
     found = qs.Simulation(qs.Body(0.5), flow, orientation=axes, tolerance=1e-8).integrate([2.0])
     shear = qs.Simulation(qs.Body(0.5), qs.flow("shear"), orientation=axes).integrate([2.0])
     assert np.abs(found.axis - shear.axis).max() < 1e-7
+
+
+@pytest.mark.parametrize("stokes", [0.0, 2.0])
+def test_steps_end_where_a_flow_is_not_smooth(stokes: float) -> None:
+    """A gradient that is held from sample to sample, and one that is switched over, within 10 tol.
+
+    Of massless bodies against exponentials, of others against the nodes of ensembles.
+    """
+    times = np.linspace(0.0, 5.0, 21)
+    a = np.array([cosines(3)(t) for t in times])  # type: ignore[operator]
+    series = qs.GradientSeries(times, a, interpolation="hold")
+    body, k = qs.Body(0.2, stokes_number=stokes), 0.2
+    if stokes:
+        paths = qs.GradientSeries(times, a[None], interpolation="hold")
+        exact = Ensemble((body,), paths, AXIS, tolerance=1e-11).follow(0)[1][0, 0]
+    else:
+        exact = AXIS
+        for gradient in a[:-1]:
+            strain, turn = 0.5 * (gradient + gradient.T), 0.5 * (gradient - gradient.T)
+            exact = expm(0.25 * (turn + (1.0 - k * k) / (1.0 + k * k) * strain)) @ exact
+        exact = exact / np.linalg.norm(exact)
+    for tolerance in (1e-5, 1e-9):
+        motion = body.integrate(
+            qs.flow("linear", gradient=series), [5.0], orientation=AXIS, tolerance=tolerance
+        )
+        assert np.abs(motion.axis[-1] - exact).max() < 10.0 * tolerance
+        switched = qs.flow(
+            "linear", gradient=lambda t: a[min(int(4.0 * t), 19)], breaks=times[1:-1].tolist()
+        )
+        again = body.integrate(switched, [5.0], orientation=AXIS, tolerance=tolerance)
+        assert np.abs(again.axis[-1] - exact).max() < 10.0 * tolerance
+
+
+def test_a_gradient_that_dies_out_ends_no_motion() -> None:
+    """Its trace is rounding of the least numbers there are."""
+    a = cosines(3)(0.0)  # type: ignore[operator]
+    flow = qs.flow("linear", gradient=lambda t: 5.0 * np.exp(-(((t - 7.0) / 0.1) ** 2)) * a)
+    motion = qs.Body(0.2).integrate(flow, [0.0, 10.0], orientation=AXIS, tolerance=1e-8)
+    assert motion.time[-1] == 10.0
+    assert "ended_by" not in motion.summary["events"]
+    bad = qs.flow("linear", gradient=lambda t: a + (t > 1.0) * np.eye(3))
+    with pytest.raises(ConvergenceError, match="trace"):
+        qs.Body(0.2).integrate(bad, [10.0], orientation=AXIS)
+
+
+@pytest.mark.parametrize("breaks", [[1.0, 1.0], ["a"], [[1.0, 2.0]], [float("nan")]])
+def test_breaks_that_are_none_are_refused(breaks: object) -> None:
+    gradient = [[0, "t", 0], [0, 0, 0], [0, 0, 0]]
+    with pytest.raises(FlowError, match="breaks"):
+        qs.flow("linear", gradient=gradient, breaks=breaks)

@@ -143,7 +143,8 @@ class CompiledMotion(MonitoredGridMotion):
     def _on_level(
         self, level: tuple[int, int], t: float, x: Array, q: Array
     ) -> tuple[Array, Array]:
-        run = monitored_in(self._flow.point_function)  # type: ignore[attr-defined]
+        flow: Any = self._flow
+        run, t = monitored_in(flow.point_function), flow.before_break(t)
         coarse, fine = self._pair(level)
         motion, change = np.empty((len(x), 6)), np.empty(len(x))
         radius = float(self._functional.grid.shape.radius)

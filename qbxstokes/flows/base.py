@@ -55,6 +55,13 @@ class Flow(ABC):
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Pressure p up to a constant, shape (...)."""
 
+    def breaks(self, end: float) -> Array:
+        """Instants (n,) between 0 and `end` at which the flow is not smooth in time."""
+        return np.empty(0)
+
+    def until(self, t: float) -> None:  # noqa: B027
+        """Show itself, from now on, as before the break t: at t as just before it."""
+
     def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Stress sigma = -p I + grad u + (grad u)^T, shape (..., 3, 3)."""
         gradient = self.gradient(x, t)
@@ -256,6 +263,16 @@ class SumFlow(Flow):
     ) -> Array:
         """Curl of the Laplacian (..., 3)."""
         return self._total([flow.vorticity_of_laplacian(x, t, reach) for flow in self.terms])
+
+    def breaks(self, end: float) -> Array:
+        """Those of all terms."""
+        found: Array = np.unique(np.concatenate([flow.breaks(end) for flow in self.terms]))
+        return found
+
+    def until(self, t: float) -> None:
+        """So do all terms."""
+        for flow in self.terms:
+            flow.until(t)
 
     @staticmethod
     def _total(parts: list[Array]) -> Array:

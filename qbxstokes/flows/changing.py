@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.series import GradientSeries, series_of_file
@@ -23,11 +23,14 @@ from qbxstokes.flows.values import (
     SINGLE,
     Array,
     check_keys,
+    instants,
     number,
     settled,
     tensor,
     traceless,
 )
+
+_NOTHING = 1e-290  # the trace of a gradient whose digits are lost
 
 
 class LinearInTime(Flow):
@@ -41,6 +44,8 @@ class LinearInTime(Flow):
 
     def __init__(self, gradient: Any, spec: Mapping[str, Any] | None = None) -> None:
         self._spec = None if spec is None else dict(spec)
+        self._last, self._breaks = math.inf, np.empty(0)
+        self._series = gradient if isinstance(gradient, GradientSeries) else None
         if isinstance(gradient, GradientSeries):
             self.spacing = gradient.spacing
             self._gradient = gradient.function()
@@ -54,7 +59,7 @@ class LinearInTime(Flow):
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
         """From {"gradient": ...}: rows of expressions, a function, a series, or {"file": ...}."""
-        check_keys(spec, ["gradient", "trajectory", "longest_step"], cls.type_name)
+        check_keys(spec, ["gradient", "trajectory", "longest_step", "breaks"], cls.type_name)
         gradient, chosen = spec["gradient"], spec.get("trajectory")
         if isinstance(gradient, str):
             gradient = load_function(gradient)
@@ -69,21 +74,32 @@ class LinearInTime(Flow):
         if spec.get("longest_step") is not None:
             step = number(spec["longest_step"], "longest_step", positive=True)
             flow.spacing = min(flow.spacing, step)
+        flow._breaks = instants(spec.get("breaks"))
         return flow
+
+    def breaks(self, end: float) -> Array:
+        """Those that were given, and the samples of a series."""
+        own = np.empty(0) if self._series is None else self._series.breaks(end)
+        found: Array = np.unique(np.concatenate([self._breaks[self._breaks < end], own]))
+        return found
+
+    def until(self, t: float) -> None:
+        """Show itself, from now on, as before the break t: at t as just before it."""
+        self._last = math.nextafter(t, -math.inf)
 
     def at(self, t: float) -> Array:
         """The gradient (3, 3) at time t; raises FlowError for what is none."""
         try:
-            given = self._gradient(t)
+            given = self._gradient(min(t, self._last))
         except FlowError:
             raise
         except Exception as error:
             wrong = f"raised {type(error).__name__} at t = {t:.6g}: {error}"
-            raise FlowError(f"the gradient {wrong}", ("gradient",)) from error
+            raise FlowFunctionError(f"the gradient {wrong}", ("gradient",)) from error
         matrix = tensor(given, f"the gradient at t = {t:.6g}", (3, 3), ("gradient",))
         trace = float(np.trace(matrix))
-        if abs(trace) > SINGLE * float(np.abs(matrix).max()):
-            raise FlowError(
+        if abs(trace) > SINGLE * float(np.abs(matrix).max()) + _NOTHING:
+            raise FlowFunctionError(
                 f"the gradient has trace {trace:.6g} at t = {t:.6g} and must have none "
                 "(incompressible fluid)",
                 ("gradient",),
@@ -93,9 +109,11 @@ class LinearInTime(Flow):
     def numbers(self, t: float) -> list[float]:
         """The nine numbers of the gradient at time t, by rows; raises FlowError as `at` does."""
         try:
-            found: list[float] = np.asarray(self._gradient(t), dtype=np.float64).ravel().tolist()
+            found: list[float] = (
+                np.asarray(self._gradient(min(t, self._last)), dtype=np.float64).ravel().tolist()
+            )
             trace, size = found[0] + found[4] + found[8], max(map(abs, found))
-            if len(found) == 9 and abs(trace) <= DOUBLE * size < math.inf:
+            if len(found) == 9 and abs(trace) <= DOUBLE * size + _NOTHING < math.inf:
                 return found
         except Exception:
             pass
@@ -158,7 +176,7 @@ class LinearInTime(Flow):
 
     def _mapped(self, change: Callable[[Array], Array]) -> Flow:
         flow = LinearInTime(lambda t: change(self.at(t)))
-        flow.spacing = self.spacing
+        flow.spacing, flow._breaks, flow._series = self.spacing, self._breaks, self._series
         return flow
 
 

@@ -52,6 +52,14 @@ class AboveWall(Flow):
         except FlowError as error:
             raise FlowError(str(error), ("flow", *error.key)) from None
 
+    def breaks(self, end: float) -> Array:
+        """Those of the flow."""
+        return self.flow.breaks(end)
+
+    def until(self, t: float) -> None:
+        """So does the flow."""
+        self.flow.until(t)
+
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
         x = np.asarray(x, dtype=float)

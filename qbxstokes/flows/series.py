@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.user import resolve_paths
@@ -154,11 +154,20 @@ class GradientSeries:
             return min(max(t, first), last)
         if self.outside == "repeat":
             return first + (t - first) % (last - first)
-        raise FlowError(
+        raise FlowFunctionError(
             f"t = {t:.6g} is outside the series, which covers {first:g} to {last:g}; "
             "outside: clamp or repeat goes on",
             ("outside",),
         )
+
+    def breaks(self, end: float) -> Array:
+        """The samples between 0 and `end`: between them the interpolant is a polynomial."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        found = self.times
+        if self.outside == "repeat":
+            turns = np.arange(math.floor(-first / (last - first)), math.ceil(end / (last - first)))
+            found = np.unique(turns[:, None] * (last - first) + self.times[:-1])
+        return found[(found > 0.0) & (found < end)]
 
     def function(self) -> Callable[[float], Array]:
         """A(t) as a function, of a series of one path."""

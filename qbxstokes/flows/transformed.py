@@ -64,6 +64,14 @@ class TransformedFlow(Flow):
         result: Array = self.factor * (vector @ self.rotation.T)
         return result
 
+    def breaks(self, end: float) -> Array:
+        """Those of the flow."""
+        return self.flow.breaks(end)
+
+    def until(self, t: float) -> None:
+        """So does the flow."""
+        self.flow.until(t)
+
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
         return self._turn_vector(self.flow.velocity(self._inner(x), t))

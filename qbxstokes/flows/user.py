@@ -22,7 +22,7 @@ from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.base import Flow, curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
 from qbxstokes.flows.transformed import TransformedFlow
-from qbxstokes.flows.values import Array, number, tensor
+from qbxstokes.flows.values import Array, instants, number, tensor
 
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
 # smooth on the straight way from the origin.
@@ -42,7 +42,7 @@ class UserFlow(Flow):
     (Laplacian) and 1e-8 (curl of the Laplacian). A function of x alone is steady.
     `parameters` are passed on as keyword arguments. compiled: the function is one of numbers,
     f(x, y, z), or f(x, y, z, t), and its parameters after these, with three numbers returned; numba
-    compiles it into the loops over the body's surface.
+    compiles it into the loops over the body's surface. breaks: instants at which it is not smooth.
     """
 
     type_name = "user"
@@ -55,9 +55,11 @@ class UserFlow(Flow):
         parameters: Mapping[str, Any] | None = None,
         longest_step: float | None = None,
         compiled: bool = False,
+        breaks: ArrayLike | None = None,
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
+        self._breaks, self._last = instants(breaks), math.inf
         if parameters is not None and not isinstance(parameters, Mapping):
             raise FlowError(f"parameters must be names and values, not {parameters!r}", _GIVEN)
         if not all(isinstance(name, str) for name in parameters or {}):
@@ -108,7 +110,7 @@ class UserFlow(Flow):
         points = np.asarray(x, dtype=float)
         flat = points.reshape(-1, 3)
         try:
-            result = np.asarray(self._field(flat, t))
+            result = np.asarray(self._field(flat, self.before_break(t)))
         except (Exception, SystemExit) as error:
             raise FlowFunctionError(
                 f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
@@ -120,6 +122,18 @@ class UserFlow(Flow):
                 ("function",),
             )
         return result.astype(float, copy=False).reshape(points.shape)
+
+    def breaks(self, end: float) -> Array:
+        """Those that were given."""
+        return self._breaks[(self._breaks > 0.0) & (self._breaks < end)]
+
+    def until(self, t: float) -> None:
+        """Show itself, from now on, as before the break t: at t as just before it."""
+        self._last = math.nextafter(t, -math.inf)
+
+    def before_break(self, t: float) -> float:
+        """The instant that the function is asked for (see `until`)."""
+        return min(t, self._last)
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3) by extrapolated differences."""
@@ -174,6 +188,7 @@ class UserFlow(Flow):
             "parameters": self.parameters,
             **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
             **({"compiled": True} if self.compiled else {}),
+            **({"breaks": self._breaks.tolist()} if len(self._breaks) else {}),
         }
 
     def shifted(self, displacement: ArrayLike) -> Flow:

@@ -18,6 +18,17 @@ Key = tuple[str | int, ...]
 DOUBLE, SINGLE = 1e-12, 1e-6
 
 
+def instants(given: Any) -> Array:
+    """Increasing instants (n,), none where nothing is given; raises FlowError."""
+    try:
+        found = np.atleast_1d(np.asarray([] if given is None else given, dtype=np.float64))
+    except (TypeError, ValueError):
+        found = np.array([np.nan])
+    if found.ndim != 1 or not np.isfinite(found).all() or np.any(np.diff(found) <= 0.0):
+        raise FlowError(f"breaks are increasing instants, not {given!r}", ("breaks",))
+    return found
+
+
 def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> None:
     """Raise FlowError naming the nearest known key if `spec` holds an unknown one."""
     for key in spec:

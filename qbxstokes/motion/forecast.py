@@ -26,6 +26,8 @@ STAGES = 13
 IMPLICIT_COST = 50
 # Steps that BDF takes at least to reach its highest order.
 _START = 150
+# Steps of an implicit formula of one step after a break.
+_FRESH = 40
 
 
 def floor_of(kind: str) -> float:
@@ -40,9 +42,19 @@ class Forecast:
     """
 
     def __init__(
-        self, equations: RigidBodyEquations, t: float, state: Array, end: float, tolerance: float
+        self,
+        equations: RigidBodyEquations,
+        t: float,
+        state: Array,
+        end: float,
+        tolerance: float,
+        breaks: int = 0,
     ) -> None:
-        """state (n_lanes, n_state) at t; tolerance: error accepted at the end."""
+        """state (n_lanes, n_state) at t; tolerance: error accepted at the end.
+
+        breaks: instants at which the steps begin afresh.
+        """
+        self._breaks = breaks
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
         self._span = (end - t) * float(np.max(equations.mean_rate(t, state, end - t)))
@@ -96,5 +108,9 @@ class Forecast:
         share = AFFORDED if missed else 1.0
         implicit = self.evaluations("bdf") + _START * IMPLICIT_COST
         if share * implicit < self.evaluations("rk"):
-            return "bdf"
+            if self._breaks * _START < self.steps("bdf"):
+                return "bdf"
+            # It would not get beyond its low orders; a step of arkimex takes as long as 20 of 8vr.
+            single = self.steps("arkimex") + _FRESH * self._breaks
+            return "8vr" if self.steps("rk") < 20.0 * single else "arkimex"
         return "5dp" if self.tolerance("rk") > LOOSE else "8vr"

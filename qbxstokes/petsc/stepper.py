@@ -75,6 +75,8 @@ def integrate(
     interrupted: Callable[[], bool] | None = None,
     observe: Callable[[Step], float | None] | None = None,
     longest_step: float | None = None,
+    breaks: ArrayLike = (),
+    until: Callable[[float], None] | None = None,
     comm: Any = PETSc.COMM_SELF,
 ) -> Trajectory:
     """States at increasing `times` of the motion that starts from `start` at t0.
@@ -90,6 +92,9 @@ def integrate(
     observe is called after every step and may return an instant of it at which the run ends; with
     it, a step that cannot be completed ends the run (`refusal`, `failure`) instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
+    breaks: instants at which the equations are not smooth in time: steps end there, and begin
+    afresh. until is called with the one that a step may reach, inf where all is known again; up to
+    it, the equations are to be those before it.
     comm: of one process, PETSc's own.
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
@@ -102,10 +107,10 @@ def integrate(
         state = np.array(start, dtype=np.float64).reshape(shape)
         checkpoint = Checkpoint(t0, state)
     end, count = float(instants[-1]), len(instants)
-    system = System(
-        equations, checkpoint, end, count, tolerance, method, prefix, longest_step, comm
-    )
-    run = Run(system, checkpoint, instants)
+    ends = np.asarray(breaks, dtype=np.float64)
+    bound = longest_step, len(ends)
+    system = System(equations, checkpoint, end, count, tolerance, method, prefix, *bound, comm)
+    run = Run(system, checkpoint, instants, ends, until)
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -128,7 +133,15 @@ def integrate(
 class Run:
     """One integration in progress."""
 
-    def __init__(self, system: System, checkpoint: Checkpoint, times: Array) -> None:
+    def __init__(
+        self,
+        system: System,
+        checkpoint: Checkpoint,
+        times: Array,
+        breaks: Array,
+        until: Callable[[float], None] | None,
+    ) -> None:
+        self._breaks, self._until = breaks, until
         self._system, self.equations = system, system.equations
         self.checkpoint, self.times = checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
@@ -157,6 +170,8 @@ class Run:
 
     def release(self) -> None:
         """Free the integrators: they hold callbacks that hold this object, unseen by Python."""
+        if self._until is not None:
+            self._until(math.inf)
         for integrator in (self.ts, self._inside):
             if integrator is not None:
                 integrator.destroy()
@@ -184,7 +199,7 @@ class Run:
             before, start = t, self._vector.getArray(readonly=1).copy()
             halt = None
             try:
-                self._step(start)
+                self._to_break(t, start)
                 t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
                 if observe is not None:
                     halt = observe(self._inside.observed(before, start, t))
@@ -226,6 +241,26 @@ class Run:
         if samples:
             self._cut(deliver, t, index, samples)
         return True
+
+    def _to_break(self, t: float, start: Array) -> None:
+        """One accepted step from t, up to the next break at most."""
+        place = int(np.searchsorted(self._breaks, t, "right"))
+        if place == len(self._breaks):
+            if self._until is not None and len(self._breaks):
+                self._until(self._end)
+            self._step(start)
+            return
+        ts, limit = self.ts, float(self._breaks[place])
+        if self._until is not None:
+            self._until(limit)
+        length = ts.getTimeStep()
+        if t + length > limit - 1e-3 * length:
+            ts.setTimeStep(limit - t)
+        self._step(start)
+        if ts.getTime() >= limit or math.isclose(ts.getTime(), limit, rel_tol=1e-13):
+            ts.setTime(limit)
+            ts.setTimeStep(max(ts.getTimeStep(), min(length, self._end - limit)))
+            ts.restartStep()
 
     def _step(self, start: Array) -> None:
         """One accepted step from the vector `start`; else a ConvergenceError or the flow's own.

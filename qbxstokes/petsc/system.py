@@ -58,6 +58,7 @@ class System:
         method: str | None = None,
         prefix: str = "",
         longest_step: float | None = None,
+        breaks: int = 0,
         comm: Any = PETSc.COMM_SELF,
     ) -> None:
         self.equations, self.end, self._samples = equations, end, samples
@@ -69,7 +70,8 @@ class System:
             self._moving = CentredEquations(equations, start.state)
         self.layout = self._moving.layout
         self.counter = Counter(start.evaluations, start.jacobians)
-        self._guide = Forecast(equations, start.time, start.state, end, tolerance)
+        self._breaks = breaks
+        self._guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance
         self._wanted = start.method or method or self._guide.method
         # Whether it is the program that chose the method.
@@ -87,7 +89,7 @@ class System:
         if not start.local_tolerance and start.steps:  # a change of method, to be thought of anew
             self._wanted = start.method
             self._guide = Forecast(
-                self.equations, start.time, start.state, self.end, self._tolerance
+                self.equations, start.time, start.state, self.end, self._tolerance, self._breaks
             )
         self._scales = self.equations.scales(start.time, start.state)
         return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)

@@ -111,8 +111,19 @@ class Assembled:
             times,
             self.tolerance,
             longest_step=longest,
+            breaks=self._breaks(end),
+            until=self._until,
             **{**limits, **settings},
         )
+
+    def _breaks(self, end: float) -> Array:
+        """Instants at which some flow is not smooth: steps end there."""
+        found = np.unique(np.concatenate([part.flow.breaks(end) for part in self.parts]))
+        return found[(found > 0.0) & (found < end)]
+
+    def _until(self, t: float) -> None:
+        for part in self.parts:
+            part.flow.until(t)
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.
