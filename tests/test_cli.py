@@ -414,11 +414,17 @@ def test_signs_names_and_backends_that_are_not_known(tmp_path: Path) -> None:
     text = "title: Gr\u00fc\u00dfe\nbody: {aspect_ratio: 0.5}\nflow: {type: shear}\n"
     (tmp_path / name).write_text(text + "time: {end: 1, samples: 3}\n", encoding="utf-8")
     extra = {"PYTHONIOENCODING": "ascii", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
-    for words in ([name], ["plot", os.fsdecode(b"n\xff.h5"), "--kind", "rotation"]):
+    ascii_alone = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    for words, more in (
+        ([name], extra),
+        (["plot", os.fsdecode(b"n\xff.h5"), "--kind", "rotation"], extra),
+        (["plot", name, "--kind", "orbit"], ascii_alone),  # the newest result of the case
+        ([name, "--dry-run", "--set", "title=\u00f6"], ascii_alone),
+    ):
         done = subprocess.run(
             [sys.executable, "-m", "qbxstokes", *words],
             cwd=tmp_path,
-            env={**ENVIRONMENT, **extra},
+            env={**ENVIRONMENT, **more},
             capture_output=True,
             check=False,
         )
