@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,29 @@ def test_functions_of_a_program_push_and_hold_a_body():
     assert held.angular_velocity[:, 2] == pytest.approx(np.cos(TIMES))
 
 
+class Swirl:
+    """A callable that Python cannot refer to weakly."""
+
+    __slots__ = ()
+
+    def __call__(self, x):
+        return swirl(x)
+
+    def push(self, t):
+        return [0.0, np.sin(t), 0.0]
+
+
+def test_any_callable_is_taken():
+    for function in (Swirl(), functools.partial(swirl), Swirl().__call__):
+        keys = {"type": "user", "function": function, "length": 6, "singular_points": [[0, 6, 0]]}
+        found = qs.run({**CASE, "flow": keys}).axis
+        flow = qs.flow(**keys)
+        alone = qs.Body(0.5).integrate(flow, TIMES, orientation=[1, 0, 1], tolerance=1e-8)
+        assert np.array_equal(found, alone.axis)
+    pushed = qs.run({**CASE, "flow": qs.flow("shear"), "forces": {"force": Swirl().push}})
+    assert pushed.position[-1, 1] > 0.01
+
+
 def test_names_of_functions_end_with_them():
     def made(sign):
         def wind(t):
@@ -104,7 +129,7 @@ def test_ranges_and_paths_are_taken(tmp_path, monkeypatch):
             {"start": {"position": {1, 2}}},
             r"case: start.position: is {1, 2}, of type set; numbers, ",
         ),
-        ({"forces": {"force": np.sin}}, r"case: forces.force: <ufunc 'sin'> cannot .*write a func"),
+        ({"forces": {"force": np.sin}}, r"<python>.py:sin must return three finite numbers"),
         ({"start": {"position": turning}}, r"case: start.position: is the function turning; 3"),
         ({"forces": {"force": turning}}, r"<python>.py:turning must return three finite numb"),
     ],

@@ -23,7 +23,7 @@ import yaml
 
 from qbxstokes.case.model import Section
 from qbxstokes.case.values import Key, Problem
-from qbxstokes.errors import CaseError, FlowError, escaped
+from qbxstokes.errors import CaseError, escaped
 
 MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 24
@@ -312,10 +312,7 @@ def given(value: Any, name: str, key: Key = ()) -> Any:
     if callable(getattr(value, "function", value)):  # itself, or a series that makes one
         from qbxstokes.flows.user import hand_over
 
-        try:
-            return hand_over(value)
-        except FlowError as error:
-            raise CaseError(f"{name}: {key_text(key)}: {error}") from None
+        return hand_over(value)
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if value is None or isinstance(value, str | int | float | Section):

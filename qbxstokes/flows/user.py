@@ -7,6 +7,7 @@ import inspect
 import math
 import re
 import sys
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import chain, count
@@ -31,6 +32,7 @@ _PRESSURE_NODES = 24
 _GIVEN = ("parameters",)
 _PYTHON = "<python>.py"
 _handed: WeakValueDictionary[str, Any] = WeakValueDictionary()
+_kept: dict[str, Any] = {}  # what Python cannot refer to weakly, such as a function written in C
 
 
 class UserFlow(Flow):
@@ -205,22 +207,20 @@ class UserFlow(Flow):
 
 
 def _name_of(function: Callable[..., Any]) -> str:
-    return str(getattr(function, "__qualname__", repr(function)))
+    named = getattr(function, "__qualname__", getattr(function, "__name__", None))
+    return str(named or type(function).__name__)
 
 
 def hand_over(value: Any) -> str:
-    """The name, in a case, of a function or series of a program, for as long as that holds it.
-
-    Raises FlowError for what Python cannot refer to weakly, such as a function written in C.
-    """
+    """The name, in a case, of a function or series of a program, for as long as that holds it."""
     stem = re.sub(r"\W", "", _name_of(value).rpartition(".")[2]) or "function"
     names = (f"{_PYTHON}:{stem}{end}" for end in chain([""], (f"_{n}" for n in count(2))))
-    name = next(name for name in names if _handed.get(name, value) is value)
+    held = ChainMap(_kept, _handed)
+    name = next(name for name in names if held.get(name, value) is value)
     try:
         _handed[name] = value
     except TypeError:
-        right = "write a function that calls it: lambda t: ..."
-        raise FlowError(f"{value!r} cannot be taken as it is; {right}") from None
+        _kept[name] = value
     return name
 
 
@@ -230,8 +230,8 @@ def load_function(name: str) -> Callable[..., Any]:
     A file is executed once in a process, however many functions are taken from it and however
     often; one that has changed since is executed anew.
     """
-    if str(name) in _handed:
-        return _handed[str(name)]  # type: ignore[no-any-return]
+    if (handed := _handed.get(str(name), _kept.get(str(name)))) is not None:
+        return handed  # type: ignore[no-any-return]
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
     if not separator or path.suffix != ".py" or not attribute.isidentifier():
