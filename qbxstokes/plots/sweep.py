@@ -36,6 +36,7 @@ SHOWN = (
     *(f"resistance_rotation_{direction}" for direction in ("transverse", "axial")),
     "linear",
     "error",
+    "gap",
 )
 # The uncertainty of a summary, from two windows of time: the same quantity's change.
 CHANGES = {f"mean_velocity_{i}": f"velocity_change_{i}" for i in (1, 2, 3)}
