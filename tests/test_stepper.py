@@ -463,8 +463,8 @@ def test_compiled_blocks_leave_the_hdf5_of_h5py_alone():
         "import numpy as np\n"
         "from qbxstokes.petsc import session\n"
         "session.start([], {})\n"
-        "from qbxstokes.petsc.native import _library\n"
-        "assert _library() is not None\n"
+        "from qbxstokes.petsc.native import library\n"
+        "assert library() is not None\n"
         "import h5py\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

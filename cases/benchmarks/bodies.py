@@ -19,6 +19,7 @@ from measure import Rows, command, timed
 import qbxstokes as qs
 from qbxstokes.bie.coupling import closest
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.over_wall import rate
 from qbxstokes.reference.bispherical import Bispherical, near_wall
 
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
@@ -185,6 +186,38 @@ def speed(small: bool) -> Rows:
     return rows
 
 
+def table(small: bool) -> Rows:
+    """One body over a wall from a table: a velocity in blocks, and dy/dt one by one."""
+    body, count = qs.Body(0.5), 10_000 if small else 200_000
+    cells, rng = qs.OverWall(body, UP, tolerance=1e-4), np.random.default_rng(0)
+    x = np.array([0.0, 0.0, 1.6]) + rng.uniform(0.0, 0.1, (count, 1)) * [0.0, 0.0, 1.0]
+    axes, terms = rotation.random_axes(count, rng), cells.flow_terms(SHEAR)
+
+    def block() -> Any:
+        return cells.motion(terms, x, axes)
+
+    block()
+    span, _ = timed(block, 2, time.process_time)
+    rows = [row("table: a velocity in blocks: s", span / count, 1e-6)]
+    c, y, out = (
+        cells.constants(terms, np.zeros(6)),
+        np.array([0, 0, 1.6, 0.9, 0, 0.4, 0]),
+        np.empty(7),
+    )
+    # What PETSc calls without Python in between, here with it.
+    numbers = c.load, c.plane, c.ratio, c.size, c.terms, c.first, c.cells, c.pieces
+    calls = 100 if small else 20_000
+
+    def one_by_one() -> None:
+        for _ in range(calls):
+            rate(y, *numbers, out)
+
+    one_by_one()
+    span, _ = timed(one_by_one, 3, time.process_time)
+    rows.append(row("table: a right-hand side of one body: s", span / calls, 1e-5))
+    return rows
+
+
 def ten(share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres, quaternions and forces of ten spheroids k = 1/2 at a volume fraction."""
     rng = np.random.default_rng(0)
@@ -201,7 +234,7 @@ def ten(share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def main(small: bool = False) -> dict[str, Rows]:
     """A table of each kind."""
-    parts = sphere_by_a_wall, two_spheres, spheroids, iterations, motion, speed
+    parts = sphere_by_a_wall, two_spheres, spheroids, iterations, motion, speed, table
     return {part.__name__: part(small) for part in parts}
 
 

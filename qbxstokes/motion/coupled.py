@@ -31,6 +31,7 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints
+from qbxstokes.motion.wall_constants import WallConstants
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,8 @@ class CoupledEquations(RigidBodyEquations):
 
     ratios: k of the bodies. stokes_number (N,), all zero or all positive. volume (N,), inertia
     (N, 3): of the bodies at unit density. relaxation (N,): fastest rate at which the drag of each
-    alone takes up a motion, 0 without inertia.
+    alone takes up a motion, 0 without inertia. constants: what a compiled rate takes of the table
+    of one massless body over a wall, where nothing changes in time.
     """
 
     def __init__(
@@ -70,7 +72,9 @@ class CoupledEquations(RigidBodyEquations):
         volume: Array,
         inertia: Array,
         relaxation: Array,
+        constants: Callable[[], WallConstants] | None = None,
     ) -> None:
+        self.constants = constants
         self.fluid, self.n_lanes = fluid, len(ratios)
         self.stokes_number = stokes_number
         self.massless = not np.any(stokes_number)
@@ -111,6 +115,10 @@ class CoupledEquations(RigidBodyEquations):
     def _pieces(self, t: float, rows: Any) -> Any:
         """dy/dt of one body by a wall as a tuple of numbers."""
         return tuple(self._rate_of(t, np.array(rows, dtype=np.float64)[None])[0].tolist())
+
+    def fill(self, t: float, y: Array, out: Array) -> None:
+        """Write dy/dt (n_state,) of one body in the state y (n_state,)."""
+        out[:] = self._rate_of(t, y[None])[0]
 
     def _rate_of(self, t: float, y: Array) -> Array:
         x, raw = y[:, POSITION], y[:, ORIENTATION]

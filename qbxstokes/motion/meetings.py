@@ -47,6 +47,7 @@ class Meetings:
     """Watches the steps of one scene; call it with every step.
 
     nearness: of states (N, n_state). arm (N,): largest distance of each surface from its centre.
+    normal: of a wall, towards which alone ways count; edges: whether ways count for other reasons.
     turning: coordinates ("x1", "d3", ...) whose turning points are recorded of every body. found,
     counts, first, last, ended: as in `events.Events`; rows hold time, body, other body (0: none or
     the wall), the least gap of the scene and the body's position. nearest: least gap at the end of
@@ -56,6 +57,8 @@ class Meetings:
     equations: CoupledEquations
     nearness: Callable[[Array], Nearness]
     arm: Array
+    normal: Array | None = None
+    edges: bool = False
     turning: Sequence[str] = ()
     found: dict[str, list[list[float]]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
@@ -63,6 +66,7 @@ class Meetings:
     last: dict[str, list[float]] = field(default_factory=dict)
     nearest: tuple[float, tuple[int, int], float] | None = None
     ended: tuple[str, str] = ("", "")
+    _latest: tuple[float, Nearness] | None = None
     _speeds: dict[str, list[float]] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
@@ -115,7 +119,9 @@ class Meetings:
 
     def _contact(self, step: Step) -> tuple[float, Nearness] | None:
         """The first instant of the step at which there is no room left."""
-        begin = (step.before, step.start, self.nearness(step.start))
+        known = self._latest is not None and self._latest[0] == step.before
+        near_start = self._latest[1] if known and self._latest else self.nearness(step.start)
+        begin = (step.before, step.start, near_start)
         todo = [(step.after, step.end, self.nearness(step.end))]
         while todo:
             end = todo[-1]
@@ -130,6 +136,7 @@ class Meetings:
                 return self._crossing(step, begin[0], begin[2], end)
             begin = todo.pop()
             self._note(begin[0], begin[2])
+        self._latest = begin[0], begin[2]
         return None
 
     def _crossing(
@@ -144,11 +151,19 @@ class Meetings:
         return t, self.nearness(states if t == t1 else step.state(t))
 
     def _travel(self, start: Array, end: Array) -> float:
-        """About how far two surfaces can have come together."""
-        axes = [rotation.axis(rotation.normalize(y[:, ORIENTATION])) for y in (start, end)]
-        way = np.linalg.norm(end[:, POSITION] - start[:, POSITION], axis=1)
-        ways = way + self.arm * np.linalg.norm(axes[1] - axes[0], axis=1)
-        return float(_BENT * np.sum(np.sort(ways)[-2:]))
+        """About how far surfaces can have come together, or nearer to what is at rest."""
+        before, after = (rotation.axis(y[:, ORIENTATION]) for y in (start, end))
+        turn = self.arm * np.linalg.norm(after - before, axis=1)
+        way = end[:, POSITION] - start[:, POSITION]
+        ways = [0.0]
+        if self.normal is not None:
+            ways.append(float((np.abs(way @ self.normal) + turn).max()))
+        if self.edges:
+            ways.append(float((np.linalg.norm(way, axis=1) + turn).max()))
+        if len(way) > 1:
+            apart = np.linalg.norm(way[:, None] - way, axis=2) + turn[:, None] + turn
+            ways.append(float(apart.max(where=~np.eye(len(way), dtype=bool), initial=0.0)))
+        return _BENT * max(ways)
 
     def _note(self, t: float, near: Nearness) -> None:
         if self.nearest is None or near.gap < self.nearest[0]:

@@ -31,16 +31,16 @@ Array = NDArray[np.float64]
 
 _NUMBER = types.CPointer(types.float64)
 # PetscErrorCode (TS, PetscReal, Vec, Vec, void *)
-_SIGNATURE = types.int32(types.voidptr, types.float64, types.voidptr, types.voidptr, _NUMBER)
+SIGNATURE = types.int32(types.voidptr, types.float64, types.voidptr, types.voidptr, _NUMBER)
 _ARRAYS = ("VecGetArrayRead", "VecRestoreArrayRead", "VecGetArray", "VecRestoreArray")
 
-_get_state, _restore_state, _get_rate, _restore_rate = (
+get_state, restore_state, get_rate, restore_rate = (
     types.ExternalFunction(name, types.int32(types.voidptr, types.voidptr)) for name in _ARRAYS
 )
 
 
 @intrinsic
-def _pointer(context, address):  # type: ignore[no-untyped-def]
+def pointer(context, address):  # type: ignore[no-untyped-def]
     """An address as a pointer to numbers."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
@@ -78,10 +78,10 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     n = int(constants[_COLUMNS])
     constants[_CALLS] += 1.0
     places = np.empty(2, np.intp)
-    failed = _get_state(state, places.ctypes)
+    failed = get_state(state, places.ctypes)
     if failed:
         return failed
-    failed = _get_rate(rate, places[1:].ctypes)
+    failed = get_rate(rate, places[1:].ctypes)
     if failed:
         return failed
     after_flow = _PARTS + (_FLOW * n if _FLOWS else _FLOW)
@@ -94,15 +94,15 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     body = c[after_flow:after_body].reshape(_BODY, n) if _BODIES else c[after_flow:after_body]
     loads = c[after_body:after_loads].reshape(12, n) if _LOADED else None
     still = c[after_rates:after_still].reshape(3, n) if _STILL else None
-    y = _frozen(carray(_pointer(places[0]), (_STATE, n)))
-    out = carray(_pointer(places[1]), (_STATE, n))
+    y = _frozen(carray(pointer(places[0]), (_STATE, n)))
+    out = carray(pointer(places[1]), (_STATE, n))
     rates = c[after_loads:after_rates].reshape(4, n) if _INERTIAL else None
     follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
     _loop(y, out, flow, body, loads, rates, follow, still)
-    failed = _restore_rate(rate, places[1:].ctypes)
+    failed = restore_rate(rate, places[1:].ctypes)
     if failed:
         return failed
-    return _restore_state(state, places.ctypes)
+    return restore_state(state, places.ctypes)
 
 
 @cache
@@ -135,11 +135,11 @@ def _compiled(
     kind = "".join(f"{flag:d}" for flag in (flows, bodies, loaded, inertial, following, still))
     law = kernels.__name__.rpartition(".")[2]
     copy.__qualname__ = f"rate_{law}_{degree}_{sizes[0]}_{kind}_{loops.version}"
-    return numba.cfunc(_SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(copy)
+    return numba.cfunc(SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(copy)
 
 
 @cache
-def _library() -> Any:
+def library() -> Any:
     """PETSc's library, None where its functions cannot be called by name.
 
     Numba is told the addresses one by one: opened for all to see, PETSc's libraries would hand
@@ -188,17 +188,19 @@ class NativeRate:
 
     def give(self, ts: Any, work: Any) -> None:
         """Make it the right-hand side of an integrator; `work` is a vector for its value."""
-        pointer = ctypes.c_void_p
-        failed = _library().TSSetRHSFunction(
-            pointer(ts.handle),
-            pointer(work.handle),
-            pointer(self._function.address),
-            pointer(self._constants.ctypes.data),
-        )
-        if failed:
-            raise PETSc.Error(failed)
+        give(ts, work, self._function.address, self._constants)
+
+
+def give(ts: Any, work: Any, address: int, constants: Array) -> None:
+    """Make a C function with its constants the right-hand side of an integrator."""
+    place = ctypes.c_void_p
+    failed = library().TSSetRHSFunction(
+        place(ts.handle), place(work.handle), place(address), place(constants.ctypes.data)
+    )
+    if failed:
+        raise PETSc.Error(failed)
 
 
 def native_rate(block: BlockConstants, layout: Layout) -> NativeRate | None:
     """The right-hand side of a block for PETSc, None where it has to go through Python."""
-    return None if _library() is None else NativeRate(block, layout)
+    return None if library() is None else NativeRate(block, layout)

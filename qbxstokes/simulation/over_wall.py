@@ -8,7 +8,8 @@ linear in its loads (a mobility) and in the flow. One that vanishes on the wall 
 Both are tabulated by Chebyshev polynomials in the logarithm of the gap, cell by cell of a factor
 two, made as they are first visited, and in sigma, tan(sigma) = sqrt(k) tan(tilt), which keeps the
 singularities of long and of flat bodies equally far away. The mobility is bounded at contact, where
-the resistance is singular by lubrication.
+the resistance is singular by lubrication. A cell is then cut into pieces with polynomials of low
+degree, whose values take less.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.suspension import Suspension
 from qbxstokes.simulation.wall import Wall
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 _EVEN, _ODD = (0, 2, 4), (1, 3, 5)
 # First and last cell, powers of two of the gap in polar radii, and the most polynomials of each.
 FIRST, LAST, _MOST = -8, 6, 40
+# Degrees and pieces each way of a cut cell: the first that serve; else it is left as it is.
+_CUTS = tuple((degree, 2**power) for power in range(5) for degree in (3, 4, 5, 6, 8))
 # Polar nodes of the solutions that a cell is made from, at most: a few minutes.
 _FINEST = 28
 # Modes of the flow (a1, A11, A22, b1; a2, A12, A21, b2): u = z f e1 or z f e2.
@@ -71,9 +74,10 @@ class OverWall:
             [Body(shape=body.shape)], Wall(normal=(0.0, 0.0, 1.0)), tolerance=0.3 * tolerance
         )
         self.ratio = self._scene.placed([[0.0, 0.0, 9.0]])[0].ratio
-        self._cells = np.zeros((LAST - FIRST, 1, 1, 42))
-        # Per cell and polynomial of the gap: how many of the tilt are of account; 0: not made.
-        self._reach = np.zeros((LAST - FIRST, 1), dtype=np.int64)
+        # Pieces of all cells, (pieces, 42, polynomials), and per cell: its first piece, how many
+        # there are in gap and tilt, and their numbers of polynomials; 0: not made.
+        self._pieces = np.zeros((0, 42, 1))
+        self._where = np.zeros((LAST - FIRST, 5))
         plane = wall.plane
         self._plane = np.stack([plane.normal, plane.point, plane.velocity])
         self.error_estimate = 0.0
@@ -98,8 +102,10 @@ class OverWall:
         loads = np.zeros((len(x), 6)) if load is None else np.asarray(load, dtype=np.float64)
         out = np.empty((len(x), 6))
         place = self._plane, self.ratio, self.body.size, terms
+        from qbxstokes.motion.over_wall import evaluate
+
         while True:
-            where = _evaluate(x, d, loads, *place, FIRST, self._reach, self._cells, out)
+            where = evaluate(x, d, loads, *place, FIRST, self._where, self._pieces, out)
             if where == -1:
                 return out[:, :3], out[:, 3:]
             if not FIRST <= where - 1000 < LAST:
@@ -115,6 +121,11 @@ class OverWall:
         x, d = np.repeat(position[None], 7, axis=0), np.repeat(axis[None], 7, axis=0)
         free = np.hstack(self.motion(terms, x, d, np.vstack([np.zeros(6), np.eye(6)])))
         return np.asarray(np.linalg.solve((free[1:] - free[0]).T, free[0] - motion))
+
+    def constants(self, terms: Array, load: Array) -> WallConstants:
+        """What a compiled right-hand side takes of the table, as far as it is made, and a load."""
+        place = self._plane, self.ratio, self.body.size, terms
+        return WallConstants(load, *place, FIRST, self._where, self._pieces)
 
     def flow_terms(self, flow: Flow | None, t: float = 0.0) -> Array:
         """a (3,), A (3, 3) and b (3,) of a flow about the wall's point, as the rows of (5, 3)."""
@@ -149,21 +160,13 @@ class OverWall:
                 self.cache.store("over_wall", key, {"values": values, "left": np.array(left)})
         else:
             values, left = kept["values"], float(kept["left"])
-        shape = np.maximum(values.shape, self._cells.shape[1:])
-        grown = np.zeros((len(self._cells), *shape))
-        grown[:, : self._cells.shape[1], : self._cells.shape[2]] = self._cells
-        grown[cell - FIRST, : values.shape[0], : values.shape[1]] = values
-        self._cells = grown
-        # What is left out of the sums adds a tenth to what the polynomials leave.
-        small = (
-            np.abs(values).max(axis=2)
-            < 0.1 * self.tolerance / values[..., 0].size * _scale(values).min()
+        pieces, layout, lost = _cut(values, 0.1 * self.tolerance)
+        self._where[cell - FIRST] = len(self._pieces), *layout
+        width = max(self._pieces.shape[2], pieces.shape[2])
+        self._pieces = np.concatenate(
+            [np.pad(p, ((0, 0), (0, 0), (0, width - p.shape[2]))) for p in (self._pieces, pieces)]
         )
-        reach = np.zeros((len(self._cells), shape[0]), dtype=np.int64)
-        reach[:, : self._reach.shape[1]] = self._reach
-        last = values.shape[1] - np.argmin(small[:, ::-1], axis=1)
-        reach[cell - FIRST, : len(values)] = np.where(small.all(axis=1), 0, last)
-        self._reach = reach
+        left += lost
         self.error_estimate = max(self.error_estimate, left)
 
     def _tabulated(self, cell: int) -> tuple[Array, float]:
@@ -241,6 +244,44 @@ def _scale(values: Array) -> Array:
     return np.array([largest[:18].max(), largest[18:].max()])
 
 
+def _cut(values: Array, tolerance: float) -> tuple[Array, tuple[int, int, int, int], float]:
+    """A cell (gap, tilt, 42) as pieces (pieces, 42, polynomials), their layout, and what is lost.
+
+    Pieces in gap and tilt, polynomials of both; losses are relative, at points between the nodes.
+    """
+    gaps, tilts = values.shape[:2]
+    scale = np.repeat(_scale(values), [18, 24])
+    for degree, count in _CUTS:
+        sizes = [min(degree + 1, gaps), 1 if tilts == 1 else degree + 1]
+        counts = [count, 1 if tilts == 1 else count]
+        if sizes[0] * sizes[1] >= gaps * tilts:
+            break
+        # Nodes of all pieces, and the points between, in the whole cell.
+        fits, checks = [], []
+        for size, number, whole in zip(sizes, counts, (gaps, tilts), strict=True):
+            middle = (2.0 * np.arange(number)[:, None] + 1.0) / number - 1.0
+            between = np.linspace(-1.0, 1.0, 2 * size + 1)
+            at = [
+                _polynomials(middle + points / number, whole) for points in (_nodes(size), between)
+            ]
+            fits.append(np.einsum("ip,npw->niw", _transform(size), at[0]))
+            checks.append((at[1], _polynomials(between, size)))
+        cut = np.einsum("aiw,bjv,wvf->abijf", fits[0], fits[1], values)
+        exact = np.einsum("apw,bqv,wvf->abpqf", checks[0][0], checks[1][0], values)
+        found = np.einsum("pi,qj,abijf->abpqf", checks[0][1], checks[1][1], cut)
+        lost = float((np.abs(found - exact) / scale).max())
+        if lost <= tolerance:
+            pieces = np.moveaxis(cut, -1, 2).reshape(counts[0] * counts[1], 42, -1)
+            return np.ascontiguousarray(pieces), (*counts, *sizes), lost
+    whole_cell = np.moveaxis(values, -1, 0).reshape(1, 42, -1)
+    return np.ascontiguousarray(whole_cell), (1, 1, gaps, tilts), 0.0
+
+
+def _polynomials(points: Array, count: int) -> Array:
+    """Chebyshev polynomials (..., count) at points."""
+    return np.asarray(np.cos(np.arange(count) * np.arccos(np.clip(points, -1.0, 1.0))[..., None]))
+
+
 def _nodes(count: int) -> Array:
     return np.asarray(np.cos(np.pi * (np.arange(count) + 0.5) / count))
 
@@ -251,101 +292,3 @@ def _transform(count: int) -> Array:
     matrix = 2.0 / count * np.cos(np.pi * n[:, None] * (n + 0.5) / count)
     matrix[0] *= 0.5
     return np.asarray(matrix)
-
-
-@njit(cache=True, fastmath=True)
-def _evaluate(  # type: ignore[no-untyped-def]
-    x, d, loads, plane, k, size, terms, first, reach, cells, out
-):
-    """Fill velocities (N, 6); -1, or 1000 + the first cell that is not there, or -2: contact."""
-    gaps, tilts = cells.shape[1], cells.shape[2]
-    in_gap, in_tilt, value = np.empty(gaps), np.empty(tilts), np.empty(42)
-    n, point, own = plane[0], plane[1], plane[2]
-    e1, e2, even, odd = np.empty(3), np.empty(3), np.empty(7), np.empty(7)
-    got = np.empty(6)
-    for i in range(x.shape[0]):
-        height, up, squared = 0.0, 0.0, 0.0
-        for j in range(3):
-            height += (x[i, j] - point[j]) * n[j]
-            up += d[i, j] * n[j]
-            squared += d[i, j] ** 2
-        up /= math.sqrt(squared)
-        sign = 1.0 if up >= 0.0 else -1.0
-        across = math.sqrt(max(1.0 - up * up, 0.0))
-        gap = height / size - math.sqrt(k * k * across * across + up * up)
-        if not gap > 0.0:
-            return -2
-        place = math.log2(gap)
-        cell = math.floor(place)
-        if cell < first or cell - first >= len(reach) or reach[cell - first, 0] == 0:
-            return 1000 + cell
-        # e1 along the axis in the wall, e2 = N x e1.
-        if across > 1e-8:
-            for j in range(3):
-                e1[j] = sign * (d[i, j] / math.sqrt(squared) - up * n[j]) / across
-        else:
-            least = 0
-            for j in range(3):
-                if abs(n[j]) < abs(n[least]):
-                    least = j
-            norm = math.sqrt(1.0 - n[least] ** 2)
-            for j in range(3):
-                e1[j] = ((1.0 if j == least else 0.0) - n[least] * n[j]) / norm
-        e2[0] = n[1] * e1[2] - n[2] * e1[1]
-        e2[1] = n[2] * e1[0] - n[0] * e1[2]
-        e2[2] = n[0] * e1[1] - n[1] * e1[0]
-        sigma = math.atan2(math.sqrt(k) * across, abs(up))
-        _chebyshev(2.0 * (place - cell) - 1.0, in_gap)
-        _chebyshev(4.0 * sigma / math.pi - 1.0, in_tilt)
-        value[:] = 0.0
-        for p in range(gaps):
-            for q in range(reach[cell - first, p]):
-                weight = in_gap[p] * in_tilt[q]
-                for f in range(42):
-                    value[f] += weight * cells[cell - first, p, q, f]
-        even[:], odd[:] = 0.0, 0.0
-        for j in range(3):
-            fall, turn = loads[i, j] / size**2, loads[i, 3 + j] / size**3
-            even[0] += fall * e1[j]
-            even[1] += fall * n[j]
-            even[2] += turn * e2[j]
-            odd[0] += fall * e2[j]
-            odd[1] += turn * e1[j]
-            odd[2] += turn * n[j]
-            a = terms[0, j]
-            along, aside = 0.0, 0.0
-            for c in range(3):
-                away = x[i, c] - point[c] - height * n[c]
-                a += terms[1 + j, c] * away
-                along += terms[1 + j, c] * e1[c]
-                aside += terms[1 + j, c] * e2[c]
-            even[3] += a * e1[j]
-            even[4] += size * along * e1[j]
-            even[5] += size * aside * e2[j]
-            even[6] += size * terms[4, j] * e1[j]
-            odd[3] += a * e2[j]
-            odd[4] += size * aside * e1[j]
-            odd[5] += size * along * e2[j]
-            odd[6] += size * terms[4, j] * e2[j]
-        for row in range(3):
-            up_, side = 0.0, 0.0
-            for c in range(3):
-                up_ += value[3 * row + c] * even[c]
-                side += value[9 + 3 * row + c] * odd[c]
-            for c in range(4):
-                up_ += value[18 + 4 * row + c] * even[3 + c]
-                side += value[30 + 4 * row + c] * odd[3 + c]
-            got[row], got[3 + row] = up_, side
-        for j in range(3):
-            out[i, j] = size * (got[0] * e1[j] + got[1] * n[j] + got[3] * e2[j]) + own[j]
-            out[i, 3 + j] = got[2] * e2[j] + got[4] * e1[j] + got[5] * n[j]
-    return -1
-
-
-@njit(cache=True, fastmath=True)
-def _chebyshev(s, out):  # type: ignore[no-untyped-def]
-    out[0] = 1.0
-    if len(out) > 1:
-        out[1] = s
-    for j in range(2, len(out)):
-        out[j] = 2.0 * s * out[j - 1] - out[j - 2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
+from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import given
 from qbxstokes.simulation.result import Motion, integration_facts
@@ -83,6 +84,22 @@ class Fluid:
         except (ContactError, SceneError):
             return None
         return drag[None, :3], drag[None, 3:]
+
+    @property
+    def constants(self) -> Callable[[], WallConstants] | None:
+        """What the compiled rate over a wall takes, where all of it is the table's."""
+        scene, table = self.scene, self.scene.table
+        flow, loads = scene.flow, scene.loads
+        if table is None or scene.repulsion is not None or not (scene.massless and scene.steady):
+            return None
+        if flow is not None and not (flow.steady and flow.degree is not None and flow.degree <= 2):
+            return None
+        own: tuple[Any, ...] = () if loads is None else (loads.body_force, loads.body_torque)
+        if any(np.any(vectors) for vectors in own):
+            return None
+        terms = table.flow_terms(flow, 0.0)
+        load = np.hstack(self.loads(0.0, scene.position, scene.quaternion))[0]
+        return lambda: table.constants(terms, load)
 
     def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Force and torque from outside."""
@@ -159,7 +176,10 @@ class Together:
         """What watches for contacts and turning points; raises SceneError where one is there."""
         scene, section = self.scene, self.scene.events
         arm = np.array([body.size * body.shape.radius for body in scene.suspension.bodies])
-        watch = Meetings(self.equations, self.nearness, arm, section.turning_points)
+        wall, edges = scene.suspension.wall, scene.flow is not None and bool(scene.flow.domain)
+        normal = None if wall is None else wall.normal
+        turning = section.turning_points
+        watch = Meetings(self.equations, self.nearness, arm, normal, edges, turning)
         near = self.nearness(self.initial)
         if near.room <= 0.0:
             raise SceneError("events.clearance", f"is {section.clearance:g}", near.reason)
@@ -339,7 +359,8 @@ def assemble(scene: CoupledSimulation) -> Together:
             )
             relaxation[b] = rates.max() / stokes[b]
     ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
-    equations = CoupledEquations(fluid, ratios, stokes, volume, inertia, relaxation)
+    given = volume, inertia, relaxation, fluid.constants
+    equations = CoupledEquations(fluid, ratios, stokes, *given)
     start = equations.initial_state(
         scene.position, scene.quaternion, scene.velocity, scene.angular_velocity
     )
