@@ -229,6 +229,13 @@ def test_infinite_orbit_constants_stand_in_a_legend() -> None:
     assert axes.get_legend_handles_labels()[1][1].endswith(r"= $\infty$")
 
 
+def test_what_is_constant_but_for_rounding_is_drawn_as_constant() -> None:
+    x = np.linspace(1.0, 2.0, 9)
+    held = Columns("table", {"x": x, "period": 4.084 + 1e-12 * np.sin(9.0 * x)})
+    (axes,) = figure_of(held, {"x": "x", "y": "period"}).axes
+    assert axes.get_ylim() == pytest.approx((4.084 * 0.99, 4.084 * 1.01))
+
+
 def test_powers_of_ten_stand_in_the_label() -> None:
     with style.styled():
         axes = style.new_figure(3.0, 2.0).add_subplot()

@@ -39,6 +39,7 @@ CURVES = 7  # more curves than this are told apart by lightness and a colour bar
 _PANELS = 6
 _UNSET, _DEFAULT = "null", "default"  # words that are not set, and what a legend says of them
 _CONTOURS = 4  # rows and columns a map needs for contour lines
+_SAME = 1e-7  # relative differences of values that are one value
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,7 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
     if axes.get_yscale() == "log":
         axes.set_ylabel(style.label(words, units))
     else:
+        _widen(axes, np.concatenate([columns.numbers(name) for name in names]))
         style.set_ylabel(axes, words, units)
     if "note" in spec:
         axes.set_ylabel(f"{axes.get_ylabel()}\n{spec['note']}")
@@ -187,6 +189,14 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
     elif len(drawn) > 1:
         longest = max(len(str(line.get_label())) for line in axes.get_lines())
         style.legend_above(axes, columns=max(1, min(4, 44 // (longest + 8))))
+
+
+def _widen(axes: Axes, values: Array) -> None:
+    """Show what is constant but for an error as constant: a hundredth of it is the least height."""
+    finite = values[np.isfinite(values)]
+    size = float(np.abs(finite).max(initial=0.0))
+    if finite.size and np.ptp(finite) < _SAME * size:
+        axes.set_ylim(float(finite.mean()) - 0.01 * size, float(finite.mean()) + 0.01 * size)
 
 
 def _draw_bars(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
