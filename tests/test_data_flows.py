@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import qbxstokes as qs
-from qbxstokes.errors import ConvergenceError, FlowError, SceneError
+from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SceneError
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.runs import target
 from qbxstokes.simulation.ensemble import Ensemble
@@ -377,3 +377,65 @@ def test_breaks_that_are_none_are_refused(breaks: object) -> None:
     gradient = [[0, "t", 0], [0, 0, 0], [0, 0, 0]]
     with pytest.raises(FlowError, match="breaks"):
         qs.flow("linear", gradient=gradient, breaks=breaks)
+
+
+WAVES = """
+import numpy as np
+
+K = 0.03
+
+def velocity(x, t, s):
+    e = s * np.exp(K * x[:, 1]) * (1.0 + 0.3 * np.cos(t))
+    return np.stack([e * np.cos(K * x[:, 0]), e * np.sin(K * x[:, 0]), 0.0 * e], axis=1)
+
+def gradient(x, t, s):
+    u, v, _ = velocity(x, t, s).T
+    out = np.zeros((len(x), 3, 3))
+    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = -K * v, K * u, K * u, K * v
+    return out
+
+def hessian(x, t, s):
+    u, v, _ = velocity(x, t, s).T
+    out = np.zeros((len(x), 3, 3, 3))
+    out[:, 0, 0, 0], out[:, 0, 1, 1], out[:, 0, 0, 1], out[:, 0, 1, 0] = -u, u, -v, -v
+    out[:, 1, 0, 0], out[:, 1, 1, 1], out[:, 1, 0, 1], out[:, 1, 1, 0] = -v, v, u, u
+    return K * K * out
+
+def other(x, t, s):
+    return 1.1 * gradient(x, t, s)
+"""
+
+
+def test_small_bodies_are_moved_by_derivatives_at_their_centres(tmp_path: Path) -> None:
+    """What that leaves out is told, and as large as the difference to the whole surface."""
+    (tmp_path / "waves.py").write_text(WAVES)
+
+    def case(degree: int | None, **flow: str) -> dict[str, object]:
+        given = {name: f"{tmp_path}/waves.py:{value}" for name, value in flow.items()}
+        return {
+            "body": {"aspect_ratio": 0.2},
+            "flow": {
+                "type": "user",
+                "function": f"{tmp_path}/waves.py:velocity",
+                "parameters": {"s": 5.0},
+                "length": 30.0,
+                **given,
+            },
+            "start": {"orientation": {"axis": AXIS.tolist()}},
+            "hydrodynamics": {} if degree is None else {"derivatives": degree},
+            "time": {"end": 1.0, "samples": 3, "tolerance": 1e-8},
+        }
+
+    whole = qs.run(case(None))
+    names = {"gradient": "gradient", "hessian": "hessian"}
+    for degree, flow in ((1, {}), (2, {}), (1, {"gradient": "gradient"}), (2, names)):
+        found = qs.run(case(degree, **flow))
+        velocity, turning = found.summary["hydrodynamics"]["neglected"]
+        assert 1e-9 < turning < 1e-4
+        assert 1e-9 < velocity < (1e-2 if degree == 1 else 1e-6)
+        assert np.abs(found.axis - whole.axis).max() < turning
+        assert np.abs(found.velocity - whole.velocity).max() < velocity
+    with pytest.raises(QbxStokesError, match="gradient differs"):
+        qs.run(case(1, gradient="other"))
+    with pytest.raises(QbxStokesError, match="derivatives"):
+        qs.run({**case(1), "flow": {"type": "shear"}})

@@ -113,6 +113,11 @@ class Hydrodynamics(Section):
     solve: Literal["functional", "every_step"] = key(
         "free motion from functionals formed once, or by a solve at every step", "functional"
     )
+    derivatives: Annotated[int, whole(ge=1, le=2)] | None = key(
+        "degree of the flow's derivatives at the centre that move the body, for one much smaller "
+        "than the flow's scale: what that neglects is told; unset: the flow on the whole surface",
+        None,
+    )
     gmres_tolerance: Share | None = key(
         "relative residual of GMRES; unset: from tolerance", None, 1e-12
     )

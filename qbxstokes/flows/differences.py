@@ -85,3 +85,39 @@ def laplacian_gradient_of(field: VectorField, x: Array, step: Array) -> Array:
         return np.swapaxes((forward - backward) / (2.0 * h[..., None, None]), -1, -2)
 
     return extrapolate(estimate, step)
+
+
+# Weights of the values at one, two and three steps: of a first derivative, those behind with the
+# other sign, and of a second one, with that of the value between (Fornberg, Math. Comp. 51, 1988).
+_FIRST = np.array([0.75, -0.15, 1.0 / 60.0])
+_SECOND, _MIDDLE = np.array([1.5, -0.15, 1.0 / 90.0]), -49.0 / 18.0
+_PAIRS = (0, 1), (0, 2), (1, 2)
+
+
+def around(
+    field: VectorField, x: Array, step: Array, degree: int
+) -> tuple[Array, Array, Array | None]:
+    """A field (n, 3) at x (n, 3), its gradient (n, 3, 3) and, for degree 2, (n, i, j, k).
+
+    By differences of order 6 with the steps (n,), from one call of the field.
+    """
+    ways = list(np.eye(3))
+    if degree > 1:
+        ways += [ways[i] + sign * ways[j] for i, j in _PAIRS for sign in (1.0, -1.0)]
+    offsets = np.multiply.outer([1.0, 2.0, 3.0, -1.0, -2.0, -3.0], np.array(ways)).reshape(-1, 3)
+    places = np.concatenate([[[0.0, 0.0, 0.0]], offsets])
+    values = field(x[:, None, :] + step[:, None, None] * places)
+    middle, rest = values[:, 0], values[:, 1:].reshape(len(x), 2, 3, len(ways), 3)
+    slopes = np.einsum("m,nmwi->nwi", _FIRST, rest[:, 0] - rest[:, 1])
+    gradient = np.swapaxes(slopes[:, :3], 1, 2) / step[:, None, None]
+    if degree < 2:
+        return middle, gradient, None
+    bends = np.einsum("m,nmwi->nwi", _SECOND, rest[:, 0] + rest[:, 1])
+    bends = (bends + _MIDDLE * middle[:, None]) / step[:, None, None] ** 2
+    second = np.empty((len(x), 3, 3, 3))
+    for i in range(3):
+        second[:, :, i, i] = bends[:, i]
+    for place, (i, j) in enumerate(_PAIRS):
+        mixed = 0.25 * (bends[:, 3 + 2 * place] - bends[:, 4 + 2 * place])
+        second[:, :, i, j] = second[:, :, j, i] = mixed
+    return middle, gradient, second

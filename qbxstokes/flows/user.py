@@ -9,7 +9,7 @@ import re
 import sys
 from collections import ChainMap
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from itertools import chain, count
 from pathlib import Path
 from types import ModuleType
@@ -28,6 +28,8 @@ from qbxstokes.flows.values import Array, instants, number, tensor
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
 # smooth on the straight way from the origin.
 _PRESSURE_NODES = 24
+# Difference of a given derivative from that of the velocity that differences may leave.
+_AGREED = 1e-5
 # Where functions are that no file holds, but a program has given: `hand_over`.
 _GIVEN = ("parameters",)
 _PYTHON = "<python>.py"
@@ -45,6 +47,8 @@ class UserFlow(Flow):
     `parameters` are passed on as keyword arguments. compiled: the function is one of numbers,
     f(x, y, z), or f(x, y, z, t), and its parameters after these, with three numbers returned; numba
     compiles it into the loops over the body's surface. breaks: instants at which it is not smooth.
+    gradient, hessian: functions of the same arguments, (n, i, j) = d_j u_i and (n, i, j, k) = d_j
+    d_k u_i, for bodies that are moved by derivatives at their centres.
     """
 
     type_name = "user"
@@ -58,6 +62,8 @@ class UserFlow(Flow):
         longest_step: float | None = None,
         compiled: bool = False,
         breaks: ArrayLike | None = None,
+        gradient: str | Callable[..., Any] | None = None,
+        hessian: str | Callable[..., Any] | None = None,
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
@@ -84,11 +90,18 @@ class UserFlow(Flow):
             self._takes_time, self._field = timed, field_of(self.point_function)
         else:
             self._takes_time = self._has_time()
-            self._field = self._called
+            self._field = partial(self._called, self.function)
+        given = {"gradient": gradient, "hessian": hessian}
+        self._given = {name: value for name, value in given.items() if value is not None}
+        self._known = {
+            name: value if callable(value) else load_function(value)
+            for name, value in self._given.items()
+        }
+        self._agreed = not self._known
 
-    def _called(self, x: Array, t: float) -> Any:
+    def _called(self, function: Callable[..., Any], x: Array, t: float) -> Any:
         time = (t,) if self._takes_time else ()
-        return self.function(x.copy(), *time, **self.parameters)
+        return function(x.copy(), *time, **self.parameters)
 
     def _has_time(self) -> bool:
         """Whether a second argument is the time: called t or time, or one without a default."""
@@ -109,21 +122,53 @@ class UserFlow(Flow):
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3); raises FlowFunctionError if the function fails, or returns others."""
-        points = np.asarray(x, dtype=float)
-        flat = points.reshape(-1, 3)
+        return self._found(self._field, self.name, np.asarray(x, dtype=float), t, (3,))
+
+    def _found(self, function: Any, name: str, x: Array, t: float, of: tuple[int, ...]) -> Array:
+        """What a function says at points (..., 3), of the shape (..., *of)."""
+        flat = x.reshape(-1, 3)
         try:
-            result = np.asarray(self._field(flat, self.before_break(t)))
+            result = np.asarray(function(flat, self.before_break(t)))
         except (Exception, SystemExit) as error:
             raise FlowFunctionError(
-                f"flow function {self.name} raised {type(error).__name__}: {error}", ("function",)
+                f"flow function {name} raised {type(error).__name__}: {error}", ("function",)
             ) from error
-        if result.shape != flat.shape or result.dtype.kind not in "fiu":
+        if result.shape != (len(flat), *of) or result.dtype.kind not in "fiu":
+            points = " of its points," if of == (3,) else ""
             raise FlowFunctionError(
-                f"flow function {self.name} must return a real array of the shape of its "
-                f"points, {flat.shape}, not {result.dtype} {result.shape}",
+                f"flow function {name} must return a real array of the shape{points} "
+                f"{(len(flat), *of)}, not {result.dtype} {result.shape}",
                 ("function",),
             )
-        return result.astype(float, copy=False).reshape(points.shape)
+        return result.astype(float, copy=False).reshape(*x.shape[:-1], *of)
+
+    def expansion(self, x: Array, t: float, degree: int) -> tuple[Array, Array, Array | None]:
+        """Velocity, gradient and second derivatives, by the functions that know them.
+
+        What these say first is held against differences; raises FlowFunctionError.
+        """
+        missing = "gradient" not in self._known or (degree > 1 and "hessian" not in self._known)
+        if missing or not self._agreed:
+            found = super().expansion(x, t, degree)
+            for name, numbers in zip(("gradient", "hessian"), found[1:], strict=True):
+                if name in self._known and numbers is not None:
+                    self._agree(name, self._derivative(name, x, t), numbers)
+            self._agreed = True
+            return found
+        second = self._derivative("hessian", x, t) if degree > 1 else None
+        return self.velocity(x, t), self._derivative("gradient", x, t), second
+
+    def _derivative(self, name: str, x: Array, t: float) -> Array:
+        function = partial(self._called, self._known[name])
+        return self._found(function, name, x, t, (3,) * (2 if name == "gradient" else 3))
+
+    @staticmethod
+    def _agree(name: str, given: Array, differences: Array) -> None:
+        size = float(np.abs(differences).max())
+        off = float(np.abs(given - differences).max())
+        if not off <= _AGREED * size:
+            wrong = f"the {name} differs from that of the velocity by {off / (size or 1.0):.1g} of"
+            raise FlowFunctionError(f"{wrong} its size", (name,))
 
     def breaks(self, end: float) -> Array:
         """Those that were given."""
@@ -190,6 +235,7 @@ class UserFlow(Flow):
             "parameters": self.parameters,
             **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
             **({"compiled": True} if self.compiled else {}),
+            **{name: self._given[name] for name in self._given},
             **({"breaks": self._breaks.tolist()} if len(self._breaks) else {}),
         }
 
@@ -281,6 +327,8 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
         path, separator, attribute = result["function"].rpartition(":")
         if separator:
             result["function"] = f"{absolute(directory, path)}:{attribute}"
+    if isinstance(result.get("hessian"), str):
+        result["hessian"] = absolute(directory, result["hessian"])
     if isinstance(gradient := result.get("gradient"), str):
         result["gradient"] = absolute(directory, gradient)
     elif isinstance(gradient, Mapping) and "file" in gradient:

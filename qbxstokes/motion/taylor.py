@@ -150,6 +150,12 @@ def add_third(x: Any, velocity: Any, gradient: Any, second: Any, n: Any) -> Any:
     return add(velocity, product(m, x), 1.0 / 6.0), add_matrix(gradient, m, 0.5), second
 
 
+def pack_second(second: Array) -> Array:
+    """Second derivatives (..., i, j, k) = d_j d_k u_i as the kernels take them, (..., 18)."""
+    rows, columns = np.array(_PAIRS).T
+    return second[..., rows, columns].reshape(*second.shape[:-3], 18)
+
+
 def pack_flow(flow: PolynomialFlow | LinearInTime) -> Array:
     """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`).
 
@@ -157,7 +163,7 @@ def pack_flow(flow: PolynomialFlow | LinearInTime) -> Array:
     """
     if isinstance(flow, LinearInTime):
         flow = PolynomialFlow(gradient=flow.at(0.0))
-    second = [flow.hessian[i, j, k] for i in range(3) for j, k in _PAIRS]
+    second = pack_second(flow.hessian)
     third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
     degree = [max(flow.degree or 0, 1)]
     parts = degree, flow.origin, flow.value, flow.gradient_tensor.ravel(), second, third

@@ -290,6 +290,9 @@ def _solved(summary: dict[str, Any]) -> Rows:
             " x ".join(map(str, hydro[name])) for name in ("flow_nodes", "finest_nodes")
         )
         yield "flow on the body", f"{start} points at the start, at most {finest}"
+    if "neglected" in hydro:
+        told = ", ".join(f"{value:.1g}" for value in hydro["neglected"])
+        yield "neglected", f"beyond the derivatives, U/(c |grad u|), Omega/|grad u|: {told}"
     if hydro["cache"] == "found":
         yield "", "body model from the cache (--no-cache forms it anew)"
     if hydro.get("error_parts"):

@@ -19,6 +19,7 @@ from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow, LinearInTime
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
+from qbxstokes.motion.point import PointMotion
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -116,10 +117,12 @@ class Hydrodynamic:
     def report(self) -> dict[str, Any]:
         """How it was obtained, in numbers and words: discretisation, solves, estimated error."""
         finest = getattr(self.provider, "finest", None)
+        neglected = getattr(self.provider, "neglected", None)
         return {
             **self.facts,
             **self.solves(),
             **({"finest_nodes": list(finest)} if finest else {}),
+            **({"neglected": list(neglected)} if neglected else {}),
             "error_estimate": self.model.error_estimate,
         }
 
@@ -264,7 +267,8 @@ class Former:
         if self._need.kind == "every_step":
             return self._solve_motion(body, facts, solvers)
         if self._need.kind == "grid":
-            return self._grid_motion(body, facts)
+            whole, degree = self._grid_motion(body, facts), self._section.derivatives
+            return PointMotion(body.model, self._flow, degree, whole) if degree else whole
         return self._flow if isinstance(self._flow, LinearInTime) else self._flow.polynomial
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:

@@ -80,6 +80,7 @@ class Motion:
                 key=lambda error: error["total"],
             ),
             "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),
+            **{k: v for k, v in assembled.hydrodynamics[0].report().items() if k == "neglected"},
             **({} if watch is None else {"events": events_summary(watch)}),
         }
         if run is not None and run.ended:

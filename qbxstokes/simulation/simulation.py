@@ -204,6 +204,9 @@ class Simulation:
     def check(self) -> None:
         """Refuse a flow that is not Stokesian near the body, singular in it, or that ends there."""
         flow, shape = self.flow, self.body.shape
+        if self.body.settings.derivatives and self.kind != "grid":
+            wrong = f"has no meaning where the free motion is found by {self.kind}"
+            raise SceneError("hydrodynamics.derivatives", wrong, "leave it out")
         axes = rotation.axis(self.quaternion)
         beyond = outside(flow.domain, self.position, axes, shape)
         if beyond:
