@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -228,3 +231,21 @@ def test_a_stokeslet_with_its_images_drives_a_small_body_as_the_fluid_there() ->
     small = qs.Suspension([qs.Body(0.5, size=0.02)], qs.Wall(), tolerance=1e-4)
     u, _ = small.free_motion(flow, [[2.0, 1.0, 0.0]])
     assert np.allclose(u[0], flow.velocity([2.0, 1.0, 0.0]), atol=2e-6)
+
+
+def test_one_body_in_free_space_knows_nothing_of_walls_and_others(tmp_path: Path) -> None:
+    flow = {"type": "plane_poiseuille", "half_width": 4.0}
+    case = {"body": {"aspect_ratio": 0.5}, "flow": flow, "time": {"end": 1.0}}
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    code = """
+import sys
+from qbxstokes.cli.main import run_command
+run_command(["case.yaml"])
+mine = "coupl among suspension scatterer gap together wall repulsion exterior_basis".split()
+print("loaded", [m for m in sys.modules if "qbxstokes" in m and any(word in m for word in mine)])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.rstrip().endswith("loaded []")
+    assert "their answer to the body is not in the" in done.stdout

@@ -74,7 +74,7 @@ class CoupledEquations(RigidBodyEquations):
         relaxation: Array,
         constants: Callable[[], WallConstants] | None = None,
     ) -> None:
-        self.constants = constants
+        self._constants = constants
         self.fluid, self.n_lanes = fluid, len(ratios)
         self.stokes_number = stokes_number
         self.massless = not np.any(stokes_number)
@@ -115,6 +115,11 @@ class CoupledEquations(RigidBodyEquations):
     def _pieces(self, t: float, rows: Any) -> Any:
         """dy/dt of one body by a wall as a tuple of numbers."""
         return tuple(self._rate_of(t, np.array(rows, dtype=np.float64)[None])[0].tolist())
+
+    @property
+    def over_wall(self) -> tuple[Callable[[], WallConstants], Callable[..., None]] | None:
+        """What the compiled rate takes, and the rate by Python where the table has none."""
+        return None if self._constants is None else (self._constants, self.fill)
 
     def fill(self, t: float, y: Array, out: Array) -> None:
         """Write dy/dt (n_state,) of one body in the state y (n_state,)."""

@@ -106,6 +106,11 @@ class RigidBodyEquations(Pieces):
         """The function (t, y, out) that writes the blocks (n_lanes, n_state, n_state)."""
         return self._compiled("jacobian_block") if self.compiled(evaluations) else self.jacobian
 
+    @property
+    def over_wall(self) -> tuple[Any, Any] | None:
+        """What is compiled of one body over a wall (`motion.coupled`): nothing."""
+        return None
+
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""
         if self._changing or not (self._steady_loads and self.compiled(evaluations)):

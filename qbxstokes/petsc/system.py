@@ -18,7 +18,6 @@ from petsc4py import PETSc
 
 from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.motion.centred import CentredEquations
-from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
 from qbxstokes.motion.layout import POSITION, SPIN, VELOCITY
@@ -158,11 +157,11 @@ class System:
 
     def _native_rate(self) -> Any:
         """The compiled rate as a C function, one for all integrators of the run, or None."""
-        if self.native is None and isinstance(self.equations, CoupledEquations):
-            if (constants := self.equations.constants) is not None:
-                from qbxstokes.petsc.native_wall import native_over_wall
+        wall = self.equations.over_wall
+        if self.native is None and wall is not None:
+            from qbxstokes.petsc.native_wall import native_over_wall
 
-                self.native = native_over_wall(constants, self.equations.fill, self.counter)
+            self.native = native_over_wall(*wall, self.counter)
         elif self.native is None:
             block = self._moving.block_constants(self.expected)
             if block is not None:

@@ -10,33 +10,29 @@ import numpy as np
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.runs.report import (
+    ABOUT,
+    MANY,
     Rows,
     counted,
     error_text,
     flow_text,
+    grids,
+    of_each,
     quantity,
     shape_text,
     vector,
 )
-
-_MANY = 6  # bodies that are told one by one
-# What errors are relative to, or of.
-ABOUT = {
-    "resistance": "of the largest entry",
-    "no slip": "largest slip on a surface, which bounds the error of the velocity",
-    "coarser grids": "change of the velocity at points from the surfaces to far away",
-}
 
 
 def scene(loaded: LoadedCase) -> Rows:
     """The bodies, what bounds the fluid, the flow."""
     case = loaded.case
     members = case.members
-    for body in members[:_MANY]:
+    for body in members[:MANY]:
         size = "" if body.size == 1.0 else f", size {quantity(body.size)}"
         yield "body", f"{shape_text(body.outline)}{size}, at ({vector(body.start.position)})"
-    if len(members) > _MANY:
-        yield "", f"and {len(members) - _MANY} more"
+    if len(members) > MANY:
+        yield "", f"and {len(members) - MANY} more"
     if case.wall is not None:
         wall = case.wall
         yield "wall", f"through ({vector(wall.point)}), normal ({vector(wall.normal)})"
@@ -91,20 +87,6 @@ def _found(summary: Mapping[str, Any]) -> Rows:
             yield from of_each(name.replace("_", " "), summary[name])
 
 
-def of_each(name: str, values: Any, scale: float = 0.0) -> Rows:
-    """A vector of every body (N, 3), or of one (3,)."""
-    rows = values if values.ndim == 2 else values[None]
-    for number, row in enumerate(rows[:_MANY], start=1):
-        who = f"body {number}: " if values.ndim == 2 else ""
-        yield name if number == 1 else " ", f"{who}{vector(row, scale)}"
-
-
-def grids(nodes: list[int]) -> str:
-    """Polar nodes of the bodies."""
-    least, most = min(nodes), max(nodes)
-    return f"{least if least == most else f'{least} to {most}'} polar nodes"
-
-
 def _seen(summary: Mapping[str, Any]) -> Rows:
     """Where the bodies are at the end, and what happened on the way."""
     found = summary["events"]
@@ -118,7 +100,7 @@ def _seen(summary: Mapping[str, Any]) -> Rows:
         text = f"at t = {quantity(summary['end'])}, {found['ended_by']}: {found['ended_because']}"
         yield "ended", text
     place = summary.get("final_position")
-    for number, row in enumerate([] if place is None else np.atleast_2d(place)[:_MANY], start=1):
+    for number, row in enumerate([] if place is None else np.atleast_2d(place)[:MANY], start=1):
         yield "at the end" if number == 1 else " ", f"({vector(row)})"
 
 

@@ -23,6 +23,13 @@ _WIDEST = 44
 _ROUNDING = 1e-13  # components below this share of the largest are rounding
 
 Rows = Iterable[tuple[str, str]]
+MANY = 6  # bodies that are told one by one
+# What errors are relative to, or of.
+ABOUT = {
+    "resistance": "of the largest entry",
+    "no slip": "largest slip on a surface, which bounds the error of the velocity",
+    "coarser grids": "change of the velocity at points from the surfaces to far away",
+}
 
 
 def section(heading: str, rows: Rows) -> str:
@@ -246,3 +253,17 @@ def near_edge(gap: float, t: float | None = None) -> str:
         f"the body's surface came within {max(gap, 0.0):.3g} of a wall of the flow{when}, less "
         "than a body length: the wall's own influence on the body is not in the equations"
     )
+
+
+def of_each(name: str, values: Any, scale: float = 0.0) -> Rows:
+    """A vector of every body (N, 3), or of one (3,)."""
+    rows = values if values.ndim == 2 else values[None]
+    for number, row in enumerate(rows[:MANY], start=1):
+        who = f"body {number}: " if values.ndim == 2 else ""
+        yield name if number == 1 else " ", f"{who}{vector(row, scale)}"
+
+
+def grids(nodes: list[int]) -> str:
+    """Polar nodes of the bodies."""
+    least, most = min(nodes), max(nodes)
+    return f"{least if least == most else f'{least} to {most}'} polar nodes"

@@ -13,17 +13,19 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import BODY
-from qbxstokes.runs import coupled_report
 from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
+    ABOUT,
     Rows,
     counted,
     duration,
     error_text,
     expected_text,
     flow_text,
+    grids,
     listed,
     near_edge,
+    of_each,
     out_of_reach,
     quantity,
     render,
@@ -40,7 +42,7 @@ _TAKES = "beside start, comparison, lines and a motion's field (within a factor 
 _LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
 # Errors of a field, which has no reference but itself.
 _CHECKS = {
-    **coupled_report.ABOUT,
+    **ABOUT,
     "table against QBX": "two evaluations at points from the surface to far away",
 }
 
@@ -49,6 +51,8 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     """Body and flow; where the body is, or what drives it and for how long."""
     case = loaded.case
     if case.coupled:
+        from qbxstokes.runs import coupled_report
+
         yield from coupled_report.scene(loaded)
         return
     shape, stokes = shape_text(case.body.outline), case.body.stokes_number
@@ -60,6 +64,8 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
     yield "body", shape
     if case.flow is not None:
         yield "flow", flow_text(loaded)
+        if loaded.flow.domain:
+            yield "walls", "bound the flow; their answer to the body is not in the equations"
     if case.units is not None:
         yield "units", case.units.scales.told
     if isinstance(plan, MotionPlan):
@@ -155,6 +161,8 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
     if loaded.case.coupled and not of_field:
+        from qbxstokes.runs import coupled_report
+
         found = coupled_report.sections(summary)
     else:
         found = {
@@ -220,7 +228,7 @@ def files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
 def _field_solved(summary: dict[str, Any]) -> Rows:
     hydro, together = summary["hydrodynamics"], summary["hydrodynamics"].get("nodes")
     if together is not None:
-        grid = coupled_report.grids(together)
+        grid = grids(together)
     else:
         grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes"
     work = f"{counted(hydro['solves'], 'solve')}, {counted(hydro['iterations'], 'iteration')}"
@@ -230,7 +238,7 @@ def _field_solved(summary: dict[str, Any]) -> Rows:
         yield "table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"
     yield "points", _points(summary["points"])
     for name in ("velocity", "angular_velocity", "force", "torque"):
-        yield from coupled_report.of_each(name, summary[name], summary["scales"][name])
+        yield from of_each(name, summary[name], summary["scales"][name])
 
 
 def _points(points: Mapping[str, int]) -> str:
