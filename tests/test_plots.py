@@ -766,3 +766,22 @@ def test_a_picture_is_laid_out_and_drawn_once(
     written = picture_command("plot", [str(path), "-o", str(tmp_path), "--quiet"])
     assert written == 0
     assert len(drawn) == len(list(tmp_path.glob("*.pdf"))) == len({id(one) for one in drawn})
+
+
+def test_legends_fit_into_their_figures() -> None:
+    for names, width, columns in (
+        (["$D^3_1$", "$D^3_2$", "$D^3_3$"], style.COLUMN, 3),
+        ([rf"$k = 0.2$, $\mathrm{{St}} = {st}$" for st in (0, 30, 200, 1000)], style.COLUMN, 2),
+        ([rf"$k = 0.2$, $\mathrm{{St}} = {st}$" for st in (0, 30, 200, 1000)], style.PAGE, 4),
+        (["a word of some forty letters, to be exact"], style.COLUMN, 1),
+    ):
+        with style.styled():
+            figure = style.new_figure(width, 2.0)
+            axes = figure.subplots()
+            for index, name in enumerate(names):
+                axes.plot([0.0, 1.0], [index, index], label=name)
+            style.legend_on_top(figure, [axes]) if width == style.PAGE else style.legend_above(axes)
+            (legend,) = figure.legends or [axes.get_legend()]
+            figure.draw_without_rendering()
+            assert legend._ncols == columns
+            assert legend.get_window_extent().width <= figure.bbox.width

@@ -88,7 +88,7 @@ def distributions_figure(result: ResultLike) -> Figure:
             symbol = rf"{symbol}/\langle {symbol}\rangle"
         axes.set_xlabel(f"${symbol}$")
     style.set_ylabel(panels[0], "density")
-    panels[0].legend(loc="lower left")
+    style.legend_on_top(figure, panels)
     style.letter_panels(panels)
     return figure
 
@@ -107,7 +107,7 @@ def means_figure(result: ResultLike) -> Figure:
             axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
         axes.set_xlabel(f"time ${ENSEMBLE['time'].symbol}$")
         style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$")
-    panels[0].legend(loc="best")
+    style.legend_on_top(figure, panels)
     style.letter_panels(panels)
     return figure
 

@@ -9,6 +9,7 @@ made without pyplot: no window, no backend is chosen, no global state is touched
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -235,20 +236,42 @@ def set_ylabel(axes: Axes, text: str, unit: str = "") -> None:
 
 
 def legend_above(axes: Axes, columns: int | None = None, handle: float | None = None) -> None:
-    """A legend above the axes, where it cannot cover data; in one row unless told otherwise.
+    """A legend above the axes, where it cannot cover data; in as many columns as there is room for.
 
     `handle` is the length of a sample, shorter for mere markers.
     """
     handles, names = axes.get_legend_handles_labels()
     if handles:
+        place = axes.get_subplotspec()
+        share = 1.0 if place is None else len(place.colspan) / place.get_gridspec().ncols
+        width = share * axes.figure.bbox.width / axes.figure.dpi
         axes.legend(
             handles,
             names,
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
-            ncol=columns or len(handles),
+            ncol=columns or _fitting(names, width),
             handlelength=handle,
         )
+
+
+def legend_on_top(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend for all panels of a figure, above them; above the first of axes of the user's."""
+    handles, names = panels[0].get_legend_handles_labels()
+    engine = None if isinstance(figure, _Given) else figure.get_layout_engine()
+    if engine is None:
+        legend_above(panels[0])
+    elif len(handles) > 1:
+        columns = _fitting(names, figure.get_figwidth())
+        figure.legend(handles, names, loc="upper left", ncol=columns)
+        room = 0.19 * -(-len(names) // columns) / figure.get_figheight()
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room))  # type: ignore[call-arg]
+
+
+def _fitting(names: Sequence[str], width: float) -> int:
+    """Columns of a legend with these names that fit into a width in inches."""
+    signs = (re.sub(r"\\\w+|[${}^_\\]", "", name) for name in names)
+    return max(1, min(len(names), int(22.0 * width) // (max(map(len, signs)) + 12)))
 
 
 def letter_panels(panels: Sequence[Axes]) -> None:
