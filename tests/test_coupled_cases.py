@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import yaml
 
 import qbxstokes as qs
 from qbxstokes.bie.coupling import gaps_of
@@ -231,6 +232,35 @@ def test_a_stokeslet_with_its_images_drives_a_small_body_as_the_fluid_there() ->
     small = qs.Suspension([qs.Body(0.5, size=0.02)], qs.Wall(), tolerance=1e-4)
     u, _ = small.free_motion(flow, [[2.0, 1.0, 0.0]])
     assert np.allclose(u[0], flow.velocity([2.0, 1.0, 0.0]), atol=2e-6)
+
+
+def test_a_scene_is_written_down_as_a_case() -> None:
+    pair = {
+        "bodies": PAIR["bodies"],
+        "surroundings": {**WALL, "point": [0, 0, -2]},
+        "forces": {"gravity": {"number": 1.0}, "torque": [0.1, 0, 0]},
+        "hydrodynamics": {"tolerance": 1e-3},
+        "time": {"end": 0.2, "samples": 2, "tolerance": 1e-3},
+        "events": {"clearance": 0.1, "turning_points": ["x3"]},
+        "repulsion": {"strength": 1.0, "range": 0.2},
+    }
+    one = {
+        "body": {"aspect_ratio": 0.5, "stokes_number": 1.0},
+        "start": {"position": [0, 2, 0], "velocity": [1, 0, 0], "angular_velocity": [0, 0, 0]},
+        "surroundings": {"type": "wall"},
+        "flow": {"type": "shear"},
+        "time": {"end": 0.2, "tolerance": 1e-3},
+    }
+    for case in (pair, one):
+        scene = qs.from_case(case)
+        again = qs.from_case(yaml.safe_load(scene.to_yaml([0.0, 0.2])))
+        assert again.to_yaml() == scene.to_yaml()
+        assert len(again) == len(scene)
+        assert again.stokes_number.tolist() == scene.stokes_number.tolist()
+    times = [0.0, 0.2]
+    assert np.array_equal(
+        qs.from_case(pair).integrate(times).position[-1], qs.run(pair).position[-1]
+    )
 
 
 def test_one_body_in_free_space_knows_nothing_of_walls_and_others(tmp_path: Path) -> None:

@@ -179,8 +179,11 @@ class CoupledSimulation(Simulation):
         return assemble(self)
 
     def to_yaml(self, times: ArrayLike | None = None) -> str:
-        """Not there yet."""
-        raise SceneError("bodies", "share a fluid", "a case written by hand, with bodies")
+        """The scene as a case file; see `Simulation.to_yaml`."""
+        from qbxstokes.case.document import written
+        from qbxstokes.simulation.writing import coupled_case
+
+        return written(coupled_case(self, times))
 
     def integrate(self, times: ArrayLike, **_: Any) -> CoupledMotion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.

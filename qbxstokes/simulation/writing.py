@@ -16,6 +16,7 @@ from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
 
 if TYPE_CHECKING:
+    from qbxstokes.simulation.coupled import CoupledSimulation
     from qbxstokes.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -76,6 +77,66 @@ def to_case(scene: Simulation, times: ArrayLike | None = None) -> dict[str, Any]
     }
     case["start"]["orientation"] = {"quaternion": case["start"]["orientation"]}
     return case
+
+
+def coupled_case(scene: CoupledSimulation, times: ArrayLike | None = None) -> dict[str, Any]:
+    """As `to_case`, of bodies that share a fluid, or of one by a wall."""
+    members = [_member(scene, index) for index in range(len(scene))]
+    tolerances = {"hydrodynamics": scene.suspension.tolerance, "time": scene.tolerance}
+    case: dict[str, Any] = {
+        "task": "motion",
+        **{section: {"tolerance": value} for section, value in tolerances.items()},
+    }
+    if scene.several:
+        case["bodies"] = members
+    else:
+        (one,) = members
+        case |= {name: one.pop(name) for name in ("start", "forces") if name in one}
+        case["body"] = {name: value for name, value in one.items() if name != "size"}
+        if one["size"] != 1.0:
+            raise SceneError("bodies", "is one with a size", "a list of one body")
+    if scene.flow is not None:
+        case["flow"] = _flow_keys(scene.flow)
+    wall, push = scene.suspension.wall, scene.repulsion
+    if wall is not None:
+        case["surroundings"] = {"type": "wall", **_plain(vars(wall))}
+    if push is not None:
+        case["repulsion"] = {"strength": push.strength, "range": push.range}
+    if scene.table is not None:
+        case["hydrodynamics"]["solve"] = "functional"
+    watched = {"clearance": scene.events.clearance, "turning_points": scene.events.turning_points}
+    if given := {name: _plain(value) for name, value in watched.items() if value}:
+        case["events"] = given
+    if times is not None:
+        case["time"]["at"] = np.asarray(times, dtype=float).tolist()
+    return case
+
+
+def _member(scene: CoupledSimulation, index: int) -> dict[str, Any]:
+    """The keys of one of the bodies."""
+    body = scene.suspension.bodies[index]
+    start: dict[str, Any] = {
+        "position": scene.position[index].tolist(),
+        "orientation": {"quaternion": scene.quaternion[index].tolist()},
+    }
+    for name in ("velocity", "angular_velocity"):
+        values = getattr(scene, name)
+        if values is not None:
+            start[name] = np.broadcast_to(values, (len(scene), 3))[index].tolist()
+    found = {
+        **_shape_keys(body.shape),
+        "size": float(body.size),
+        "stokes_number": float(body.stokes_number),
+        "start": start,
+    }
+    loads = {} if scene.loads is None else vars(scene.loads)
+    forces = {
+        name: _written_vector(f"loads.{name}", value if callable(value) else rows[index])
+        for name, value in loads.items()
+        if callable(value) or np.any(value)
+        for rows in [value if callable(value) else np.broadcast_to(value, (len(scene), 3))]
+    }
+    return found | ({"forces": forces} if forces else {})
 
 
 def _shape_keys(shape: Shape) -> dict[str, Any]:
