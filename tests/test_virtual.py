@@ -74,7 +74,8 @@ def test_it_opens_as_if_it_were_one(shown: Path, run_cli: Run, tmp_path: Path) -
         shutil.move(path, elsewhere)
     (elsewhere / "case.h5").rename(elsewhere / "other.h5")
     assert contents(elsewhere / "other.h5") == contents(whole)
-    for words in (["info"], ["plot", "--output", "p"], ["plot", "--trajectory", "3"]):
+    drawn = ["plot", "--output", "p", "--x", "stokes_number", "--y", "end"]
+    for words in (["info"], drawn, ["plot", "--trajectory", "3"]):
         told = run_cli(words[0], "elsewhere/other.h5", *words[1:])
         assert told.returncode == 0, told.stderr
 
