@@ -177,6 +177,15 @@ def test_spin_of_a_heavy_sphere_follows_a_vorticity_that_turns() -> None:
     assert np.abs(found.mean_in_time[0, place] - spin**2).max() < 1e-6
 
 
+def test_cosines_of_gradients_that_die_out_are_cosines() -> None:
+    times = np.linspace(0.0, 1.0, 11)
+    a = smooth_gradients(3, 4, times) * np.exp(-70.0 * np.arange(11.0))[:, None, None]
+    found = qs.ensemble(body(0.2), qs.GradientSeries(times, a), statistics={"sampling": False})
+    place = found.quantities.index("cos_vorticity")
+    assert np.all(found.moments[:, place] <= 1.0)
+    assert found.counts[0, place, [0, -1]].tolist() == [0, 0]
+
+
 def test_a_path_does_not_depend_on_its_company(tmp_path: Path) -> None:
     times = np.linspace(0.0, 4.0, 41)
     a = smooth_gradients(9, 301, times).astype(np.float32)

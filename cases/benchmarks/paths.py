@@ -62,6 +62,7 @@ def main(small: bool = False) -> dict[str, Rows]:
         }
         (folder / "case.json").write_text(json.dumps(case))
         first: Any = None
+        qs.ensemble(qs.Body(0.2), qs.GradientSeries.gaussian(paths=8, end=2.0))  # compiles
         for ranks, killed in ((2, False), (1, False), (3, False), (2, True)):
             result = folder / f"{ranks}{'_killed' * killed}.h5"
             begin = time.perf_counter()

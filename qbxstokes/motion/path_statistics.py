@@ -167,10 +167,12 @@ def look_at(a: Any, p: Any, w: Any, count: int, found: Any) -> None:
     for b in range(LANES):
         x, y, z = p[0, b], p[1, b], p[2, b]
         w1, w2, w3 = a[7, b] - a[5, b], a[2, b] - a[6, b], a[3, b] - a[1, b]
-        along = w1 * x + w2 * y + w3 * z
+        scale = 1.0 / (max(abs(w1), abs(w2), abs(w3)) + _TINY)  # squares may be too small
+        w1, w2, w3 = scale * w1, scale * w2, scale * w3
+        along = abs(w1 * x + w2 * y + w3 * z)
         found[3, b] = w[0, b] * w[0, b] + w[1, b] * w[1, b] + w[2, b] * w[2, b]
         found[4, b] = w[3, b] * w[3, b]
-        found[5, b] = abs(along) / (math.sqrt(w1 * w1 + w2 * w2 + w3 * w3) + _TINY)
+        found[5, b] = min(1.0, along / (math.sqrt(w1 * w1 + w2 * w2 + w3 * w3) + _TINY))
     if count > _COSINES:
         for b in range(LANES):
             x, y, z = p[0, b], p[1, b], p[2, b]

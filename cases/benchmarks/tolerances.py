@@ -1,0 +1,96 @@
+"""Do motions and ensembles keep their tolerance in flows that change? 200 seeded runs.
+
+One spheroid, k log-uniform in [1/50, 50], St = 0 or log-uniform in [1e-2, 1e3], tolerance in
+[1e-10, 1e-4], over T = 10 in a gradient of five cosines: as a function, sampled with linear
+interpolation, held from sample to sample, or a pulse of width 0.02 to 0.2 in a fluid at rest. The
+axis at the end, of `Body.integrate` (PETSc TS) and of an ensemble, against ensembles at 1e-12,
+which are another method (held against SciPy's DOP853 in tests/test_ensemble.py).
+
+Run:      python cases/benchmarks/tolerances.py      (3 min; --small: 10 s; --csv)
+Expected: worst errors of 1.3 tolerances (motions; 10 are allowed) and 0.006 (ensembles). Where
+          stability or the longest step limits the step, they are far below.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from measure import Rows, command
+
+import qbxstokes as qs
+from qbxstokes.simulation.ensemble import Ensemble
+
+END = 10.0
+FREQUENCY = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
+KINDS = ("smooth", "linear", "hold", "pulse")
+
+
+def scene(seed: int) -> tuple[str, Any, Any, Any, Any, float]:
+    """Kind, body, axis, flow, its samples and the tolerance."""
+    rng, kind = np.random.default_rng(seed), KINDS[seed % 4]
+    k, tolerance = float(50.0 ** rng.uniform(-1, 1)), float(10.0 ** rng.uniform(-10, -4))
+    stokes = 0.0 if rng.uniform() < 0.5 else float(10.0 ** rng.uniform(-2, 3))
+    axis = rng.normal(size=3)
+    a = 0.25 * rng.normal(size=(5, 3, 3))
+    a -= np.trace(a, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
+    phase, width = rng.uniform(0.0, 6.28, 5), float(10.0 ** rng.uniform(-1.7, -0.7))
+    middle, height = rng.uniform(1.0, 9.0), rng.uniform(3.0, 30.0)
+
+    def gradient(t: float) -> Any:
+        if kind == "pulse":
+            return height * np.exp(-(((t - middle) / width) ** 2)) * a[0]
+        return np.einsum("n,nij->ij", np.cos(FREQUENCY * t + phase), a)
+
+    count = {"smooth": 2001, "pulse": int(60.0 * END / width)}.get(kind, 101)
+    times = np.linspace(0.0, END, count)
+    rule = kind if kind in ("linear", "hold") else "sextic"
+    samples = [gradient(t) for t in times]
+    series = qs.GradientSeries(times, [samples], interpolation=rule)
+    keys: dict[str, Any] = {"longest_step": width} if kind == "pulse" else {}
+    given = series.path(0) if rule == kind else gradient
+    flow = qs.flow("linear", gradient=given, **keys)
+    return (
+        kind,
+        qs.Body(k, stokes_number=stokes),
+        axis / np.linalg.norm(axis),
+        flow,
+        series,
+        tolerance,
+    )
+
+
+def main(small: bool = False) -> dict[str, Rows]:
+    """The table: a row for each kind, without and with inertia."""
+    found: dict[tuple[str, int], list[tuple[float, float, float]]] = {}
+    for seed in range(16 if small else 200):
+        kind, body, axis, flow, series, tolerance = scene(seed)
+        exact, paths = (
+            Ensemble((body,), series, axis, tolerance=asked).follow(0)[1][0, 0]
+            for asked in (1e-12, tolerance)
+        )
+        begin = time.thread_time()
+        end = body.integrate(flow, [END], orientation=axis, tolerance=tolerance).axis[-1]
+        spent = time.thread_time() - begin
+        errors = (float(np.abs(p - exact).max()) / tolerance for p in (end, paths))
+        found.setdefault((kind, int(bool(body.stokes_number))), []).append((*errors, spent))
+    rows = []
+    for (kind, inertia), runs in sorted(found.items()):
+        motions, ensembles, spans = np.array(runs).T
+        rows.append(
+            {
+                "kind": kind,
+                "inertia": inertia,
+                "runs": len(runs),
+                "worst": float(motions.max()),
+                "median": float(np.median(motions)),
+                "ensembles_worst": float(ensembles.max()),
+                "ms": 1e3 * float(np.median(spans)),
+            }
+        )
+    return {"tolerances": rows}
+
+
+if __name__ == "__main__":
+    command(main)
