@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,22 @@ def test_random_starts_beside_a_number_are_a_median_with_a_band(swept: Swept) ->
     low, high = np.quantile(values, (0.1, 0.9), axis=1)
     assert set(low) | set(high) <= set(corners)
     assert axes.get_ylabel().endswith("median, 10 to 90 % of 40")
+
+
+def test_few_random_starts_are_a_median_too_where_x_and_y_are_named(
+    swept: Swept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no legend of quaternions."""
+    axes = [{"body.aspect_ratio": [0.2]}, {"start.orientation": {"random": "axes", "count": N}}]
+    case = json.dumps({"sweep": {"axes": axes}})
+    monkeypatch.setitem(swept.provenance, "resolved_case", case)
+    monkeypatch.setattr(sweep, "CURVES", N)
+    (panel,) = drawn(swept, x="aspect_ratio", y="period").axes
+    (line,) = panel.get_lines()
+    np.testing.assert_allclose(
+        line.get_ydata(), np.median(swept.columns["period"].reshape(3, N), axis=1)
+    )
+    assert panel.get_legend() is None
 
 
 def test_a_mean_leaves_out_what_is_not_finite(swept: Swept) -> None:

@@ -62,10 +62,13 @@ class _Axis:
     """An axis of the sweep with more than one point: its columns, those that are words, a number.
 
     number: the first column that rises or falls along the axis, None where there is none (random
-    starts, vectors, words).
+    starts, vectors, words). random: whether its values are.
     """
 
     def __init__(self, sweep: SweepLike, axis: int) -> None:
+        rules = (resolved_case(sweep).get("sweep") or {}).get("axes") or [{}] * len(sweep.shape)
+        made = [rule for rule in rules[axis].values() if isinstance(rule, dict)]
+        self.random = any("random" in rule or "uniform" in rule for rule in made)
         table, shape = sweep.arrays["table"], sweep.shape
         self.axis, self.size = axis, shape[axis]
         self.columns: list[str] = []
@@ -86,7 +89,9 @@ class _Axis:
 
     @property
     def parting(self) -> list[str]:
-        """Columns that tell its points apart in a legend."""
+        """Columns that tell its points apart in a legend; none of random ones."""
+        if self.random:
+            return []
         return [self.number] if self.number is not None else self.words or self.columns
 
 
@@ -228,8 +233,11 @@ def _asked(
     if "x" not in spec:
         spec = description(sweep, names[0]) | spec
     if "by" not in spec and "value" not in spec and not columns.words(spec["x"]):
-        spec["by"] = parted(swept_axes(sweep), spec["x"])
-    if spec.get("by") and "average" not in roles:
+        axes = swept_axes(sweep)
+        spec["by"] = parted(axes, spec["x"])
+        if spec["x"] in [axis.number for axis in axes] and any(axis.random for axis in axes):
+            spec.setdefault("average", "median")
+    if roles.get("by") and "average" not in roles:
         spec.pop("average", None)  # rows that are parted need none
     return {"-".join(names): partial(_figure, columns, spec)}
 
