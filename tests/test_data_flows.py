@@ -360,6 +360,36 @@ def test_steps_end_where_a_flow_is_not_smooth(stokes: float) -> None:
         assert np.abs(again.axis[-1] - exact).max() < 10.0 * tolerance
 
 
+@pytest.mark.parametrize("stokes", [0.0, 2.0])
+def test_single_motions_tell_what_the_sampling_leaves(tmp_path: Path, stokes: float) -> None:
+    a, fine = cosines(4), np.linspace(0.0, 6.0, 1201)
+    body = qs.Body(0.3, stokes_number=stokes)
+    samples = np.array([a(t) for t in fine])  # type: ignore[operator]
+
+    def motion(every: int, rule: str) -> qs.Motion:
+        series = qs.GradientSeries(fine[::every], samples[::every], interpolation=rule)
+        flow = qs.flow("linear", gradient=series)
+        return body.integrate(flow, [6.0], orientation=AXIS, tolerance=1e-10)
+
+    exact = motion(1, "sextic")
+    for every, rule in ((40, "sextic"), (40, "linear"), (8, "linear")):
+        found = motion(every, rule)
+        off = float(np.linalg.norm(found.axis[-1] - exact.axis[-1]))
+        assert 0.1 * off < found.sampling["axis"] < 30.0 * off
+    np.save(tmp_path / "a.npy", np.column_stack([fine[::40], samples[::40].reshape(-1, 9)]))
+    found = qs.run(
+        {
+            "body": {"aspect_ratio": 0.3, "stokes_number": stokes},
+            "flow": {"type": "linear", "gradient": {"file": f"{tmp_path}/a.npy"}},
+            "start": {"orientation": {"axis": AXIS.tolist()}},
+            "time": {"end": 6.0, "samples": 3, "tolerance": 1e-9},
+        }
+    )
+    told = motion(40, "sextic").sampling["axis"]
+    assert found.summary["sampling"]["axis"] == pytest.approx(told, rel=1e-3)
+    assert body.integrate(qs.flow("shear"), [1.0]).sampling == {}
+
+
 def test_a_gradient_that_dies_out_ends_no_motion() -> None:
     """Its trace is rounding of the least numbers there are."""
     a = cosines(3)(0.0)  # type: ignore[operator]

@@ -45,7 +45,8 @@ class LinearInTime(Flow):
     def __init__(self, gradient: Any, spec: Mapping[str, Any] | None = None) -> None:
         self._spec = None if spec is None else dict(spec)
         self._last, self._breaks = math.inf, np.empty(0)
-        self._series = gradient if isinstance(gradient, GradientSeries) else None
+        self._source: LinearInTime | None = None
+        self.series = gradient if isinstance(gradient, GradientSeries) else None
         if isinstance(gradient, GradientSeries):
             self.spacing = gradient.spacing
             self._gradient = gradient.function()
@@ -79,7 +80,9 @@ class LinearInTime(Flow):
 
     def breaks(self, end: float) -> Array:
         """Those that were given, and the samples of a series."""
-        own = np.empty(0) if self._series is None else self._series.breaks(end)
+        if self._source is not None:
+            return self._source.breaks(end)
+        own = np.empty(0) if self.series is None else self.series.breaks(end)
         found: Array = np.unique(np.concatenate([self._breaks[self._breaks < end], own]))
         return found
 
@@ -178,7 +181,7 @@ class LinearInTime(Flow):
 
     def _mapped(self, change: Callable[[Array], Array]) -> Flow:
         flow = LinearInTime(lambda t: change(self.at(t)))
-        flow.spacing, flow._breaks, flow._series = self.spacing, self._breaks, self._series
+        flow.spacing, flow._source = self.spacing, self
         return flow
 
 

@@ -21,6 +21,7 @@ from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
+from qbxstokes.simulation.sampling import left_by_samples
 from qbxstokes.simulation.watch import events_summary
 
 if TYPE_CHECKING:
@@ -176,6 +177,9 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
             "note": comparison.note,
             "largest_error": comparison.largest,
         }
+        if summary["complete"] and len(times):
+            with clock.part("sampling"):
+                summary["sampling"] = left_by_samples(assembled, float(times[-1]))
         if case.field is not None and summary["complete"]:
             from qbxstokes.runs.field import export_field, field_of_motion
 

@@ -332,6 +332,9 @@ def _solved(summary: dict[str, Any]) -> Rows:
         )
     if "expected_error" in summary:
         yield "expected error", expected_text(summary["expected_error"])
+    if summary.get("sampling"):
+        axis, place = (f"{summary['sampling'][name]:.2g}" for name in ("axis", "position"))
+        yield "left by samples", f"{axis} of the axis at the end, {place} of the position"
     if "changed" in steps:
         yield "", steps["changed"]
     if "field" in summary:

@@ -121,6 +121,16 @@ class Motion:
         return plot(_Drawn(self, lane, kind), kind, ax, {})
 
     @cached_property
+    def sampling(self) -> dict[str, float]:
+        """What the spacing of a series' samples leaves of axis and position at the end (or {}).
+
+        By motions on all samples and on every other one, when first asked.
+        """
+        from qbxstokes.simulation.sampling import left_by_samples
+
+        return left_by_samples(self._assembled, float(self.time[-1]))
+
+    @cached_property
     def stresslet(self) -> Array:
         """Stresslets (lanes, T, 3, 3), space frame, units of mu c^3/tau; computed when asked."""
         return self._stress["stresslet"]
