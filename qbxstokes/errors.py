@@ -54,8 +54,11 @@ class SinglePrecisionWarning(UserWarning):
     """
 
 
-def needed(package: str, what: str) -> Any:
-    """The library that `what` alone needs; raises MissingPackageError that says how to get it."""
+def needed(package: str, what: str, with_it: str = "") -> Any:
+    """The library that `what` alone needs; raises MissingPackageError that says how to get it.
+
+    with_it: what it needs besides.
+    """
     try:
         return import_module(package)
     except ModuleNotFoundError:
@@ -63,7 +66,7 @@ def needed(package: str, what: str) -> Any:
 
         # Of the interpreter that runs, which need not be the one that `python` means.
         python = "python" if shutil.which("python") == sys.executable else sys.executable
-        right = f"{python} -m pip install {package}"
+        right = f"{python} -m pip install {package} {with_it}".rstrip()
         raise MissingPackageError(
             f"{what} needs {package}, which is not installed: {right}"
         ) from None

@@ -785,3 +785,12 @@ def test_legends_fit_into_their_figures() -> None:
             figure.draw_without_rendering()
             assert legend._ncols == columns
             assert legend.get_window_extent().width <= figure.bbox.width
+
+
+def test_vectors_are_told_apart_as_vectors() -> None:
+    k, axis = np.array([0.5, 2.0] * 2), np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], 2, axis=0)
+    parts = {f"start_axis_{i + 1}": axis[:, i] for i in range(3)}
+    held = Columns("table", {"aspect_ratio": k, "period": k, **parts})
+    (panel,) = figure_of(held, {"x": "aspect_ratio", "y": "period", "by": list(parts)}).axes
+    names = panel.get_legend_handles_labels()[1]
+    assert names == ["start axis = (0, 0, 1)", "start axis = (1, 0, 0)"]

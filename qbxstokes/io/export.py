@@ -198,7 +198,7 @@ def _arrays(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Array]:
 
 
 def _netcdf(result: Result, path: Path) -> list[Path]:
-    needed("h5netcdf", "a netCDF file")
+    needed("h5netcdf", "a netCDF file", "xarray pandas")
     to_xarray(result).to_netcdf(path, engine="h5netcdf")
     return [path]
 

@@ -18,6 +18,7 @@ import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -279,8 +280,14 @@ def groups_of(columns: Columns, by: Sequence[str]) -> list[_Group]:
     for key, members in found.items():
         words = [value for value in key if isinstance(value, str)]
         told = [_DEFAULT] if words and set(words) == {_UNSET} else []
-        pairs = zip(by, key, strict=True)
-        told += [_entry(columns, name, value) for name, value in pairs if value != _UNSET]
+        pairs = [pair for pair in zip(by, key, strict=True) if pair[1] != _UNSET]
+        for stem, parts in groupby(pairs, lambda pair: pair[0].rstrip("0123456789")):
+            entries = list(parts)
+            if len(entries) > 1 and stem.endswith("_"):  # components of one vector
+                vector = ", ".join(_number(value) for _, value in entries)
+                told.append(f"{stem.replace('_', ' ').strip()} = ({vector})")
+            else:
+                told += [_entry(columns, name, value) for name, value in entries]
         value = float(key[0]) if len(by) == 1 and not words else math.nan
         groups.append(_Group(np.array(members), ", ".join(told), value))
     return groups
