@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,18 +20,15 @@ def left_by_samples(assembled: Assembled, end: float) -> dict[str, float]:
     That of every other sample is 2^order times as large; where their number is even, up to the last
     but one of them. Empty where the flow is no series, or one of too few samples.
     """
-    from qbxstokes.simulation.assembly import assemble
-
     scene, flow = assembled.parts[0], assembled.parts[0].flow
     if len(assembled.initial) != 1 or not isinstance(flow, LinearInTime) or flow.series is None:
         return {}
     thinned, order = flow.series.thinned(), INTERPOLATIONS[flow.series.interpolation]
     if len(thinned.times) < max(2, order):
         return {}
-    other, coarse = copy(scene), LinearInTime(thinned)
-    other.flow = coarse
-    formed = replace(assembled.hydrodynamics[0], provider=coarse)
-    again = assemble([other], checked=True, maker=lambda *_: formed)
+    other = copy(scene)
+    other.flow = LinearInTime(thinned)
+    again = assembled.again([other])
     last = end if flow.series.outside != "error" else min(end, float(thinned.times[-1]))
     fine, rough = (each.trajectory(np.array([last])) for each in (assembled, again))
     share = 1.0 / max(1.0, 2.0**order - 1.0)
