@@ -363,31 +363,26 @@ def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
 
 
 def choose_nodes(
-    bodies: Sequence[Placed],
-    wall: Plane | None,
-    tolerance: float,
-    clipped: bool = False,
-    free: bool = False,
+    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, free: bool = False
 ) -> list[int]:
-    """Polar nodes of each body. Raises ContactError where MOST_NODES do not suffice.
+    """Polar nodes of each body that serve a tolerance for certain, perhaps above MOST_NODES.
 
-    clipped: MOST_NODES serve then, as well as they can. free: for velocities under given loads,
-    which take fewer than forces of given motions.
+    free: for velocities under given loads, which take fewer than forces of given motions. Raises
+    ContactError for bodies that touch.
     """
-    found = [
+    return [
         nodes_for(rate, tolerance, factor(body.ratio, free, wall is not None))
         for body, rate in zip(bodies, check_apart(bodies, wall), strict=True)
     ]
-    if clipped:
-        return [min(count, MOST_NODES) for count in found]
-    if max(found) > MOST_NODES:
-        gap, (b, c), _ = closest(bodies, wall)
-        raise ContactError(
-            names_of(b, c),
-            gap,
-            f"the tolerance {tolerance:.0e} would take {max(found)} polar nodes",
-        )
-    return found
+
+
+def too_near(
+    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, n: int
+) -> ContactError:
+    """What is said of a gap that takes n polar nodes."""
+    gap, (b, c), _ = closest(bodies, wall)
+    text = f"the tolerance {tolerance:.0e} would take {n} polar nodes"
+    return ContactError(names_of(b, c), gap, text)
 
 
 def names_of(b: int, c: int) -> str:

@@ -225,7 +225,7 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
         except ContactError as error:
             key = "bodies" if case.bodies else "start.position"
             raise loaded.error(key, str(error), "a start at which nothing touches") from None
-    nodes = scene.suspension.grids(scene.places, scene.flow)
+    nodes = scene.suspension.grids(scene.places, scene.flow, clipped=True)
     grids = ", ".join(map(str, nodes[:8])) + (" ..." if len(nodes) > 8 else "")
     needs = [f"grids that follow the gaps: {grids} polar nodes, twice as many azimuthal ones"]
     skips = ("unknowns on the wall: its answer to a flow is known",) if case.wall else ()

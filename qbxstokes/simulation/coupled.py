@@ -197,7 +197,7 @@ class CoupledSimulation(Simulation):
     def check(self) -> None:
         """Refuse bodies that touch, and a flow that is none around them or slips on the wall."""
         self.suspension.check(self.flow)
-        self.suspension.grids(self.places, self.flow)
+        self.suspension.grids(self.places, self.flow, clipped=True)
 
     def closest(self, places: Sequence[Placed]) -> tuple[float, str]:
         """The least gap of the scene, and whose it is; infinite where there is one body alone."""

@@ -1,14 +1,53 @@
-"""Grids of bodies that share a fluid: how many nodes a background flow takes on each."""
+"""Grids of bodies that share a fluid: how many nodes near gaps and a background flow take."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from qbxstokes.bie.coupling import MOST_NODES, Placed
+from qbxstokes.bie.coupling import MOST_NODES, Placed, closest, gaps_of, nodes_for, too_near
 from qbxstokes.bie.resolution import flow_nodes
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_stokesian
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.suspension import Suspension
+
+_FIRST = 40  # polar nodes that are tried first
+_BEST = 0.02  # least factor of the law of errors that was met
+
+
+def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[int]) -> list[int]:
+    """Polar nodes that serve a gap for which the law of errors, made for the worst, wants too many.
+
+    By the estimated error of squeezing the least gap, relative to the largest resistance of a body.
+    wanted: those of the law. Raises ContactError where MOST_NODES do not suffice.
+    """
+    _, who, rates = closest(places, scene.plane)
+    if nodes_for(float(rates.min()), scene.tolerance, _BEST) > MOST_NODES:
+        raise too_near(places, scene.plane, scene.tolerance, max(wanted))
+    direction = next(gap.direction for gap, *pair in gaps_of(places, scene.plane) if pair == [*who])
+    motion = np.zeros((len(places), 6))
+    motion[who[0], :3] = direction
+    if who[1] >= 0:
+        motion[who[1], :3] = -direction
+    most = _FIRST
+    while most <= MOST_NODES:
+        nodes = [min(n, most) for n in wanted]
+        problem = scene.problem(places, nodes)
+        estimate = scene.solved_held(problem, motion).error_estimate["force"]
+        alone = [one.resistance.max() * p.size for one, p in zip(problem.maps, places, strict=True)]
+        error = estimate / max(alone)
+        if error <= scene.tolerance:
+            return nodes
+        # Errors fall by exp(-2 rate) a node.
+        more = math.ceil(math.log(error / scene.tolerance) / (2.0 * float(rates.min())))
+        most += max(4, more + more % 2)
+    raise too_near(places, scene.plane, scene.tolerance, most)
 
 
 def flow_nodes_on(b: int, place: Placed, flow: Flow, t: float, tolerance: float) -> int:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import Coupled, Placed, Plane, choose_nodes, least_rate
+from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes, least_rate
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.resolved import flow_nodes_on
+from qbxstokes.simulation.resolved import flow_nodes_on, probed_nodes
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.solved import Solution
 from qbxstokes.simulation.wall import Wall
@@ -104,10 +104,15 @@ class Suspension:
     ) -> list[int]:
         """Polar nodes of each body, which resolve the gaps and the flow.
 
-        clipped: as many as there are at most, where more were needed for a gap. free: for bodies
-        under given loads. Raises ContactError, SceneError for a flow that is none around them.
+        clipped: as many as there are at most, where more were needed for a gap; else grids are
+        tried then, and their estimated error decides. free: for bodies under given loads. Raises
+        ContactError, SceneError for a flow that is none around them.
         """
-        chosen = choose_nodes(places, self.plane, self.tolerance, clipped, free)
+        chosen = choose_nodes(places, self.plane, self.tolerance, free)
+        if clipped:
+            chosen = [min(n, MOST_NODES) for n in chosen]
+        elif max(chosen) > MOST_NODES:
+            chosen = probed_nodes(self, places, chosen)
         if flow is None:
             return chosen
         for b, place in enumerate(places):
@@ -313,6 +318,10 @@ class Suspension:
         from qbxstokes.petsc.coupled import CoupledSolver
 
         return CoupledSolver(problem, free, _SOLVER * problem.tolerance, self.comm)
+
+    def solved_held(self, problem: Coupled, motion: Array) -> Solution:
+        """Bodies of given motions (N, 6) in a fluid at rest."""
+        return self._held(problem, [(motion, None)])[0]
 
     def _held(self, problem: Coupled, cases: list[tuple[Array, Any]]) -> list[Solution]:
         solver = self._solver(problem, False)
