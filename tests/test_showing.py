@@ -68,6 +68,15 @@ def test_a_result_tells_what_it_holds(results: dict[str, Any]) -> None:
         assert len(repr(result).splitlines()) < 30
 
 
+def test_suspensions_show_their_numbers_in_a_few_lines() -> None:
+    rod, shear = qs.Body(0.2), qs.flow("shear")
+    lines = repr(qs.rheology(rod, shear, [0.1, 10.0])).splitlines()
+    assert lines[0] == "<Rheology: a dilute suspension>"
+    assert "  intrinsic_viscosity 5.80561 4.33821" in lines, lines
+    assert "  particle_stress, hydrodynamic_stress" in lines[6]
+    assert len(repr(qs.langevin(rod, shear, 10.0, trajectories=64)).splitlines()) < 12
+
+
 def test_events_and_fields_are_at_hand(results: dict[str, Any]) -> None:
     orbit, field = results["motion"], results["field"]
     assert orbit.events.half_turns.time.shape == (4,)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.symmetric import components, symmetric
+from qbxstokes.simulation.showing import shown
 
 Array = NDArray[np.float64]
 # Tensors that the statistics of stresses tell, in the order of their columns.
 STRESSES = "particle_stress", "hydrodynamic_stress", "brownian_stress", "order_tensor"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Found:
     """Statistics of B bodies, of Q quantities.
 
@@ -45,7 +46,13 @@ class Found:
     correlation: Array
     axes: Array | None
     stresses: dict[str, tuple[Array, Array]] | None
-    summary: dict[str, Any] = field(repr=False)
+    summary: dict[str, Any]
+
+    def __repr__(self) -> str:
+        held = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        named = {name: mean for name, (mean, _) in (self.stresses or {}).items()}
+        heading = f"Ensemble: {len(self.moments)} bodies; {', '.join(self.quantities)}"
+        return shown(heading, held | {f"stresses: {n}": v for n, v in named.items()}, self.summary)
 
     def mean(self, quantity: str) -> tuple[Array, Array]:
         """Mean of a quantity, and its standard error, each (B,)."""

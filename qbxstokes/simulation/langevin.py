@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.rheology import history_of, linear_flow, particle_of, starts_of
+from qbxstokes.simulation.rheology import (
+    history_of,
+    linear_flow,
+    particle_of,
+    peclet_numbers,
+    starts_of,
+)
+from qbxstokes.simulation.showing import shown
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History, Protocol
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
@@ -28,7 +35,7 @@ _STEP, _SHARE = 0.05, 0.05
 _MOST_STEPS = 10_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BrownianAverages:
     """Means over trajectories, and over time in a steady state, as (mean, standard error).
 
@@ -48,10 +55,15 @@ class BrownianAverages:
     brownian_stress: Pair
     order_tensor: Pair
     mean_square_displacement: Pair | None
-    paths: Array | None = field(repr=False)
+    paths: Array | None
     trajectories: int
     step: Array
-    summary: dict[str, Any] = field(repr=False)
+    summary: dict[str, Any]
+
+    def __repr__(self) -> str:
+        times = {} if self.time is None else {"time": self.time}
+        heading = f"BrownianAverages: means over {self.trajectories} axes"
+        return shown(heading, self.arrays() | times, self.summary)
 
     def arrays(self) -> dict[str, Array]:
         """Means by name, and their errors as NAME_standard_error."""
@@ -100,9 +112,8 @@ def langevin(
     >>> bool(abs(mean - exact) < 4.0 * error)
     True
     """
-    numbers = np.asarray(peclet_number, dtype=np.float64)
-    positive = np.all((numbers > 0.0) & np.isfinite(numbers))
-    if numbers.ndim > 1 or not numbers.size or not positive:
+    numbers = peclet_numbers(body, peclet_number)
+    if not np.all(np.isfinite(numbers)):
         raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive and finite")
     if trajectories < 2:
         raise SceneError("trajectories", f"are {trajectories}", "2 or more, to tell an error")

@@ -16,6 +16,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
+from qbxstokes.simulation.showing import shown
 from qbxstokes.simulation.watch import ending, events_summary, split_columns
 
 if TYPE_CHECKING:
@@ -93,19 +94,15 @@ class Motion:
     def __repr__(self) -> str:
         lanes = self.position.shape[:-2]
         many = f"{math.prod(lanes)} lanes, " if lanes else ""
-        shapes: dict[tuple[int, ...], list[str]] = {}
-        for name in ("time", *MOTION):
-            shapes.setdefault(getattr(self, name).shape, []).append(name)
-        events = ", ".join(f"{len(held['time'])} {name}" for name, held in self.events.items())
-        return "\n  ".join(
-            [
-                f"<Motion: {many}{len(self.time)} instants, t = {self.time[0]:g} to "
-                f"{self.time[-1]:g}; {self.steps} steps by {self.summary['method']}>",
-                *(f"{', '.join(names)} {shape}" for shape, names in shapes.items()),
-                *([f"events: {events}"] if events else []),
-                f"summary: {', '.join(self.summary)}",
-            ]
+        happened = [f"{len(held['time'])} {name}" for name, held in self.events.items()]
+        heading = (
+            f"Motion: {many}{len(self.time)} instants, t = {self.time[0]:g} to "
+            f"{self.time[-1]:g}; {self.steps} steps by {self.summary['method']}"
         )
+        if happened:
+            heading += f"; events: {', '.join(happened)}"
+        names = ("time", *MOTION)
+        return shown(heading, {name: getattr(self, name) for name in names}, self.summary)
 
     def plot(self, kind: str = "", ax: Any = None, *, lane: int = 0) -> Any:
         """A picture as of a result file: see `Result.plot`; lane: which, of several.

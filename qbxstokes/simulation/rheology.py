@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.simulation.given import require_flow
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
+from qbxstokes.simulation.showing import shown
 from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
@@ -36,7 +37,7 @@ Array = NDArray[np.float64]
 SAMPLES, _STRAIN = 201, 20.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rheology:
     """Stress of a dilute suspension, per volume fraction and mu times the flow's rate.
 
@@ -61,8 +62,12 @@ class Rheology:
     inertial_stress: Array
     order_tensor: Array
     error_estimate: Array
-    distribution: Any = field(repr=False)
-    summary: dict[str, Any] = field(repr=False)
+    distribution: Any
+    summary: dict[str, Any]
+
+    def __repr__(self) -> str:
+        times = {} if self.time is None else {"time": self.time}
+        return shown("Rheology: a dilute suspension", self.arrays() | times, self.summary)
 
     def arrays(self) -> dict[str, Array]:
         """The quantities of `quantities.RHEOLOGY` by name."""
@@ -95,6 +100,19 @@ def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
     if rate <= 1e-14 * float(np.linalg.norm(gradient)) or rate == 0.0:
         raise SceneError("flow", "strains nothing", "a flow with a strain rate, such as shear")
     return LinearFlow(gradient, rate, ShearFrame.of(gradient).shear)
+
+
+def peclet_numbers(body: Body, given: ArrayLike) -> Array:
+    """Peclet numbers () or (n,) of a suspension of a body; raises SceneError for what is none."""
+    if not hasattr(body, "stokes_number"):
+        raise SceneError("body", f"is {body!r}", "a body such as qs.Body(0.2)")
+    try:
+        numbers = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
+        raise SceneError("peclet_number", f"is {given!r}", "positive, one or a list")
+    return numbers
 
 
 def rheology(
@@ -132,9 +150,7 @@ def rheology(
     """
     if not 1e-12 <= tolerance <= 0.1:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
-    numbers = np.asarray(peclet_number, dtype=np.float64)
-    if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
-        raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive, one or a list")
+    numbers = peclet_numbers(body, peclet_number)
     starts = starts_of(orientations, weights, numbers)
     if np.any(body.stokes_number) and (np.any(np.isfinite(numbers)) or protocol != "steady"):
         right = "0: inertial bodies take peclet_number: inf and protocol: steady"
