@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ from conftest import Run
 
 import qbxstokes as qs
 from qbxstokes.case.load import case_of
-from qbxstokes.errors import CaseError, SceneError
+from qbxstokes.errors import CaseError, ConvergenceError, SceneError
 from qbxstokes.runs.progress import _tell_of_compilation
 
 CASE = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end": 1.0}}
@@ -121,6 +123,35 @@ def test_what_a_sweep_does_not_know_is_told(
     assert "Not known" in shown
     assert told in " ".join(shown.split())
     assert run_cli(path.name, "--quiet", "--overwrite").stderr == ""
+
+
+def test_a_full_disk_is_told_and_holds_nothing_half(
+    run_cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_cli("new", "case.yaml")
+    assert run_cli("case.yaml", "--quiet", "--set", "time={end: 1, samples: 3}").returncode == 0
+    before = {path.name for path in tmp_path.iterdir()}
+
+    def full(*_: Any) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "write", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
+    for words in (["new", "other.yaml"], ["plot", "case.h5", "--kind", "orbit"]):
+        done = run_cli(*words)
+        assert done.returncode == 2
+        assert done.stderr.endswith("cannot be written (No space left on device)\n")
+        assert done.stderr.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == before
+    Path(tmp_path / "folder").mkdir()
+    for name in ("folder", os.devnull, "case.yaml"):
+        assert "exists already" in run_cli("new", name).stderr
+
+
+def test_advice_for_a_body_too_thin_turns_on_nothing_that_is_on() -> None:
+    body = qs.Body(2e-5)
+    with pytest.raises(ConvergenceError, match="beyond double precision"):
+        _ = body.resistance
 
 
 def test_compilation_is_told_once(capfd: pytest.CaptureFixture[str]) -> None:

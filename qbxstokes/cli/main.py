@@ -244,11 +244,12 @@ def _put(text: str, options: argparse.Namespace, words: Sequence[str]) -> Path |
         print(text, end="")
         return None
     path = Path(_one(words, f"{options.words[0]} takes one file name"))
+    from qbxstokes.io.store import write_whole
+
     try:
-        with path.open("w" if options.overwrite else "x") as stream:
-            stream.write(text)
-    except FileExistsError:
-        raise CaseError(f"{path}: exists already; choose another name or --overwrite") from None
+        if os.path.lexists(path) and not (options.overwrite and path.is_file()):
+            raise CaseError(f"{path}: exists already; choose another name or --overwrite")
+        write_whole(path, text.encode())
     except OSError as error:
         raise CaseError(f"{path}: cannot be written ({error.strerror})") from None
     return None if options.quiet else path

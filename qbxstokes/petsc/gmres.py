@@ -131,10 +131,18 @@ class GmresSolver:
             raise ConvergenceError(
                 f"GMRES stopped after {iterations} iterations with true relative residual "
                 f"{true:.1e} (reported {reported:.1e}, asked for {tolerance:.1e}, reason "
-                f"{_reason_name(reason)}); turn the preconditioner on, or loosen "
-                "hydrodynamics.gmres_tolerance"
+                f"{_reason_name(reason)}); {self._advice(true)}"
             )
         return total
+
+    def _advice(self, left: float) -> str:
+        """What helps where a residual is left."""
+        if self._ksp.getPC().getType() == PETSc.PC.Type.NONE:
+            return "turn hydrodynamics.preconditioner on"
+        if left < 1e-6:
+            reached = 10.0 ** np.ceil(np.log10(left))
+            return f"set hydrodynamics.gmres_tolerance to {reached:.0e} or more"
+        return "rounding leaves no less: a body this thin or flat is beyond double precision"
 
 
 def _reason_name(reason: int) -> str:

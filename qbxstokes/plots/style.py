@@ -294,9 +294,12 @@ def save(figure: Figure, path: Path, dpi: float = 300.0) -> Path:
         "svg": {"Creator": f"qbxstokes {__version__}", "Date": None},
         "png": {"Software": f"qbxstokes {__version__}"},
     }
-    with whole_file(path) as temporary, styled():
+    drawn = BytesIO()  # on a full disk matplotlib's own files end in errors of many kinds
+    with styled():
         _lay_out(figure)
-        figure.savefig(temporary, format=kind, metadata=metadata[kind], dpi=dpi)
+        figure.savefig(drawn, format=kind, metadata=metadata[kind], dpi=dpi)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(drawn.getbuffer())
     return path
 
 

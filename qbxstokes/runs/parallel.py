@@ -113,6 +113,12 @@ def missing_message(error: Exception) -> str:
 
 def memory_message(error: Exception) -> str:
     """One line where memory does not suffice, '' for any other error."""
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    unmapped = isinstance(error, ImportError | OSError) and getattr(error, "errno", None) is None
+    if unmapped and limit != resource.RLIM_INFINITY:
+        return f"the limit of memory, {limit >> 20} MB (ulimit -v), is too low ({error})"
     if not isinstance(error, MemoryError):
         return ""
     return f"out of memory ({error or 'the system gives no more'}); what was finished is kept"
