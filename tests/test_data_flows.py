@@ -63,6 +63,36 @@ def test_functions_and_series_follow_jeffery(k: float) -> None:
     assert np.abs(motion.axis[-1] - exact).max() < 1e-6
 
 
+@pytest.mark.parametrize("k", [0.02, 0.2, 1.0, 5.0, 50.0])
+def test_one_matrix_turns_all_axes(k: float) -> None:
+    """Against SciPy's DOP853, Jeffery's orbit over ten periods, and held gradients."""
+    a, body, times = cosines(3), qs.Body(k), np.array([0.0, 3.3, 8.0])
+    starts = np.random.default_rng(1).normal(size=(2, 3, 3))
+    exact = jeffery(a, k, starts[1, 2] / np.linalg.norm(starts[1, 2]), 8.0)
+    for tolerance in (1e-4, 1e-7, 1e-10):
+        found = body.axes(qs.flow("linear", gradient=a), times, starts, tolerance=tolerance)
+        assert found.shape == (2, 3, 3, 3)
+        assert np.abs(found[1, 2, -1] - exact).max() < 10.0 * tolerance
+    assert (
+        np.abs(found[..., 0, :] * np.linalg.norm(starts, axis=-1)[..., None] - starts).max() < 1e-14
+    )
+    t = np.linspace(0.0, 8.0, 41)
+    for rule in ("hold", "linear", "sextic"):
+        series = qs.GradientSeries(t, [a(s) for s in t], interpolation=rule)  # type: ignore[operator]
+        paths = qs.GradientSeries(t, series.samples[None], interpolation=rule)
+        other = Ensemble((body,), paths, AXIS, tolerance=1e-10).follow(0)[1][0, 0]
+        assert np.abs(body.axes(series, [8.0], AXIS, tolerance=1e-8)[0] - other).max() < 1e-7
+    t = np.linspace(0.0, 20.0 * np.pi * (k + 1.0 / k), 21)
+    orbit = body.axes(qs.flow("shear"), t, AXIS, tolerance=1e-8)
+    assert np.abs(orbit - axis_at(t, k, AXIS)).max() < 1e-7
+
+
+def test_axes_of_what_has_no_matrix_are_refused() -> None:
+    for body, flow in ((qs.Body(0.5), "paraboloid"), (qs.Body(0.5, stokes_number=1.0), "shear")):
+        with pytest.raises(SceneError, match="integrate"):
+            body.axes(qs.flow(flow), [1.0])
+
+
 @pytest.mark.parametrize("k", [0.2, 5.0])
 def test_a_gradient_that_turns_and_a_shear_that_oscillates(k: float) -> None:
     """In the frame that turns with A it is constant; a harmonic shear retraces Jeffery's orbit."""

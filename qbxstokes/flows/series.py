@@ -169,6 +169,18 @@ class GradientSeries:
             found = np.unique(turns[:, None] * (last - first) + self.times[:-1])
         return found[(found > 0.0) & (found < end)]
 
+    def at(self, t: Array) -> Array:
+        """A at instants (...) within the samples, (..., 3, 3), of a series of one path."""
+        samples, count = self.read(0, 1)[0], INTERPOLATIONS[self.interpolation]
+        flat = np.array([self.inside(s) for s in t.ravel().tolist()])
+        places = np.clip(np.searchsorted(self.times, flat, "right") - 1, 0, len(self.times) - 2)
+        first, weights = power_weights(self.times, self.interpolation)
+        s = (flat - self.times[places]) / np.diff(self.times)[places]
+        shares = np.einsum("nk,nkj->nj", s[:, None] ** np.arange(count), weights[places])
+        window = samples[first[places][:, None] + np.arange(count)]
+        found: Array = np.einsum("nj,njc->nc", shares, window)
+        return found.reshape(*t.shape, 3, 3)
+
     def function(self) -> Callable[[float], Array]:
         """A(t) as a function, of a series of one path."""
         if len(self) != 1:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
+from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.formed import FormedBody
 from qbxstokes.simulation.result import Motion
@@ -174,6 +175,30 @@ class Body(FormedBody):
             brownian=brownian,
             tolerance=tolerance,
         ).integrate(times)
+
+    def axes(
+        self,
+        flow: Flow | GradientSeries,
+        times: ArrayLike,
+        orientation: ArrayLike = UPRIGHT,
+        *,
+        tolerance: float = 1e-6,
+    ) -> Array:
+        """Axes (..., T, 3) at times (T,) of massless bodies that lie in one linear flow.
+
+        orientation (..., 3): axes at t = 0. The same matrix turns all of them: ten thousand take
+        little longer than one, and no positions or quaternions are found (`integrate`). tolerance:
+        error accepted at the end.
+
+        >>> import numpy as np, qbxstokes as qs
+        >>> shear = qs.flow("linear", gradient=[[0, "cos(t)", 0], [0, 0, 0], [0, 0, 0]])
+        >>> axes = qs.Body(0.5).axes(shear, [0.0, 2.0 * np.pi], [[1, 0, 0], [0.6, 0.0, 0.8]])
+        >>> bool(np.allclose(axes[:, -1], [[1, 0, 0], [0.6, 0.0, 0.8]]))
+        True
+        """
+        from qbxstokes.simulation.axes import axes_in
+
+        return axes_in(self, flow, times, orientation, tolerance)
 
     def field(
         self,
