@@ -34,7 +34,7 @@ FIELD = {
 }
 TWICE = {"motion": MOTION, "sweep": SWEEP, "field": FIELD}
 ABSURD = [
-    (MOTION, "time.samples=100000000", "the motion needs"),
+    (MOTION, "time.samples=100000000", "must be <= 1e+07"),
     (SWEEP, "sweep.axes=[{start.orientation: {random: axes, count: 1e9}}]", "the sweep needs"),
     (SWEEP, "sweep.axes=[{start.orientation: {random: axes, count: 1e11}}]", "blocks"),
     (FIELD, "field.box.shape=[2000, 2000, 2000]", "the field needs"),
