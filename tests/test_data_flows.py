@@ -420,6 +420,42 @@ def test_single_motions_tell_what_the_sampling_leaves(tmp_path: Path, stokes: fl
     assert body.integrate(qs.flow("shear"), [1.0]).sampling == {}
 
 
+def test_paths_that_follow_one_another_in_a_file(tmp_path: Path) -> None:
+    """CF's contiguous ragged arrays, and gradients of three by three, read in parts."""
+    rng, t = np.random.default_rng(1), np.linspace(0.0, 2.0, 21)
+    a = rng.normal(size=(3, 21, 3, 3))
+    a -= np.trace(a, axis1=2, axis2=3)[..., None, None] * np.eye(3) / 3.0
+    lengths = [21, 15, 18]
+    with h5py.File(tmp_path / "ragged.h5", "w") as file:
+        file["rowsize"] = lengths
+        file["A"] = np.concatenate([a[i, :n] for i, n in enumerate(lengths)])
+        file["t"] = np.concatenate([t[:n] for n in lengths])
+        file["square"], file["time"] = a, t
+        file["late"] = np.concatenate([t[:n] + i for i, n in enumerate(lengths)])
+    name = tmp_path / "ragged.h5"
+    series = qs.GradientSeries.from_file(name, rows="rowsize")
+    assert series.paths == (3,)
+    assert np.abs(series.read(0, 3) - a[:, :15].reshape(3, 15, 9)).max() < 1e-14
+    two = series.chosen(np.array([2, 0])).read(0, 2)
+    assert np.abs(two - a[[2, 0], :15].reshape(2, 15, 9)).max() < 1e-14
+    square = qs.GradientSeries.from_file(name, dataset="square", time="time")
+    assert np.abs(square.read(1, 3, 4, 9) - a[1:, 4:9].reshape(2, 5, 9)).max() < 1e-14
+    given = {"file": str(name), "rows": "rowsize"}
+    flow = qs.flow("linear", gradient=given, trajectory=2)
+    assert np.abs(flow.gradient(np.zeros(3), 1.7) - a[2, 17]).max() < 1e-12
+    late = qs.flow("linear", gradient={**given, "time": "late", "outside": "clamp"}, trajectory=1)
+    assert np.abs(late.gradient(np.zeros(3), 1.3) - a[1, 3]).max() < 1e-12
+    for keys, message in (
+        ({"rows": "rowsize", "time": "late"}, "times of their own"),
+        ({"rows": "none"}, "cannot be read"),
+        ({"rows": "t"}, "add up"),
+    ):
+        with pytest.raises(FlowError, match=message):
+            qs.GradientSeries.from_file(name, **keys)
+    with pytest.raises(FlowError, match="trajectory 7 of 3"):
+        qs.flow("linear", gradient=given, trajectory=7)
+
+
 def test_a_gradient_that_dies_out_ends_no_motion() -> None:
     """Its trace is rounding of the least numbers there are."""
     a = cosines(3)(0.0)  # type: ignore[operator]

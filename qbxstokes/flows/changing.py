@@ -64,13 +64,18 @@ class LinearInTime(Flow):
         gradient, chosen = spec["gradient"], spec.get("trajectory")
         if isinstance(gradient, str):
             gradient = load_function(gradient)
-        if isinstance(gradient, Mapping):
-            gradient = series_of_file(gradient)
-        if isinstance(gradient, GradientSeries) and chosen is not None:
+        known = isinstance(gradient, (Mapping, GradientSeries))
+        if known and chosen is not None:
             if isinstance(chosen, bool) or not isinstance(chosen, (int, float)) or chosen % 1:
                 right = f"a whole number; all paths: sweep.axes: [{{flow.trajectory: {chosen}}}]"
                 raise FlowError(f"trajectory is {chosen!r}; {right}", ("trajectory",))
-            gradient = gradient.path(int(chosen))
+            chosen = int(chosen)
+        if isinstance(gradient, Mapping):
+            single = chosen if "rows" in gradient else None
+            gradient = series_of_file(gradient, single)
+            chosen = None if single is not None else chosen
+        if isinstance(gradient, GradientSeries) and chosen is not None:
+            gradient = gradient.path(chosen)
         flow = cls(gradient, {"type": cls.type_name, **spec})
         if spec.get("longest_step") is not None:
             step = number(spec["longest_step"], "longest_step", positive=True)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.random_gradients import RandomSamples
+from qbxstokes.flows.samples import InFile, InRows, View
 from qbxstokes.flows.user import resolve_paths
 from qbxstokes.flows.values import SINGLE, Array, check_keys, number, whole
 from qbxstokes.tables import TableError, read_table
@@ -206,25 +207,30 @@ class GradientSeries:
         return gradient
 
 
-def series_of_file(given: Mapping[str, Any]) -> GradientSeries:
-    """The series of {file, dataset, time, layout, unit, interpolation, trace, outside}.
+def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> GradientSeries:
+    """The series of {file, dataset, time, layout, rows, unit, interpolation, trace, outside}.
 
     HDF5 and netCDF-4: datasets by name, gradients mapped as they come, `layout` the order of their
     axes, [trajectory, time] or [time, trajectory]; both follow from dimensions with names, and that
-    of one path needs none. CSV and NPY: rows of t and eight or nine components, one path. unit: the
-    flow's unit of time in that of the file, by which times are divided and gradients multiplied.
+    of one path needs none. Where paths follow one another in a dataset (n, 9), `rows` is that of
+    their lengths (`rowsize` of CF's contiguous ragged arrays); they are taken as far as the
+    shortest, with the same times, or one alone, the trajectory. CSV and NPY: rows of t and eight or
+    nine components, one path. unit: the flow's unit of time in that of the file, by which times are
+    divided and gradients multiplied.
     With {process: gaussian, rate, correlation_time, paths, end, spacing, seed} the paths are made
     at random (`random_gradients`). Raises FlowError.
     """
     if "process" in given:
         return _of_process(given)
-    known = ["file", "dataset", "time", "layout", "unit", "interpolation", "trace", "outside"]
+    known = ["file", "dataset", "time", "layout", "rows", "unit"]
+    known += ["interpolation", "trace", "outside"]
     check_keys(given, known, "linear")
-    rules = {name: given[name] for name in known[5:] if name in given}
+    rules = {name: given[name] for name in known[6:] if name in given}
     unit = number(given.get("unit", 1.0), "unit", positive=True)
     path = Path(str(given.get("file", "")))
     if path.suffix in (".h5", ".hdf5", ".nc", ".nc4"):
-        times, samples = _of_hdf5(path, given)
+        read = _of_rows(path, given, trajectory) if "rows" in given else _of_hdf5(path, given)
+        times, samples = read
         return GradientSeries(times / unit, samples.times(unit), **rules)
     try:
         numbers = read_table(path).numbers
@@ -268,11 +274,37 @@ def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
     if sorted(layout) != ["time", "trajectory"]:
         right = "[trajectory, time] or [time, trajectory]"
         raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
-    if data.shape[-2:] == (3, 3) and data.ndim > 2:  # small enough to hold, or by rows of nine
-        data = data[...].reshape(*data.shape[:-2], 9)
-    if data.ndim == 2:
-        return times, InFile(data[...][None], False)
+    if data.ndim == 2 or (data.ndim == 3 and data.shape[1:] == (3, 3)):
+        return times, InFile(data[...].reshape(1, len(data), -1), False)
     return times, InFile(data, layout[0] == "time")
+
+
+def _of_rows(path: Path, given: Mapping[str, Any], trajectory: int | None) -> tuple[Array, Any]:
+    import h5py
+
+    try:
+        data = h5py.File(path, "r")[given.get("dataset", "A")]
+        file = data.file
+        lengths = np.asarray(file[given["rows"]][:], dtype=np.int64)
+        times = file[given.get("time", "t")]
+        ends = np.cumsum(lengths)
+        if ends[-1] != len(data) or len(times) != len(data) or lengths.min() < 1:
+            wrong = f"{path}: {given['rows']} add up to {ends[-1]} samples of {len(data)}"
+            raise FlowError(wrong, ("gradient", "rows"))
+        starts, count = ends - lengths, int(lengths.min())
+        if trajectory is not None:
+            if not 0 <= trajectory < len(starts):
+                raise FlowError(f"trajectory {trajectory} of {len(starts)}", ("trajectory",))
+            starts, count = starts[[trajectory]], int(lengths[trajectory])
+        instants = np.asarray(times[starts[0] : starts[0] + count], dtype=np.float64)
+        for start in starts.tolist():
+            own = times[start : start + count]
+            if not np.allclose(own, instants, rtol=1e-9, atol=1e-9 * float(np.ptp(instants))):
+                wrong = f"{path}: paths have times of their own; name a trajectory"
+                raise FlowError(wrong, ("gradient", "rows"))
+    except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
+        raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
+    return instants, InRows(data, starts, count)
 
 
 def _of_dimensions(data: Any) -> tuple[Any, list[str]]:
@@ -293,56 +325,3 @@ def series_of_case(spec: Mapping[str, Any], folder: Path) -> GradientSeries:
         raise FlowError("has no paths; a linear flow with gradient: {file: ...} has", ("gradient",))
     check_keys({k: v for k, v in spec.items() if k != "type"}, ["gradient", "trajectory"], "linear")
     return series_of_file(resolve_paths(given, folder))
-
-
-class View:
-    """Some paths and instants of samples (paths, T, components), read as they are asked for.
-
-    numbers: of the paths in their order, None for all. instants: first and last but one.
-    """
-
-    ndim = 3
-
-    def __init__(
-        self, whole: Any, numbers: NDArray[np.int64] | None, instants: tuple[int, int]
-    ) -> None:
-        self._whole, self._numbers, self._first = whole, numbers, instants[0]
-        count = whole.shape[0] if numbers is None else len(numbers)
-        self.shape = (count, instants[1] - instants[0], whole.shape[2])
-        self.dtype = whole.dtype
-
-    def __getitem__(self, place: Any) -> Any:
-        """By paths and instants."""
-        paths, instants = place
-        start, stop, step = instants.indices(self.shape[1])
-        instants = slice(self._first + start, self._first + stop, step)
-        if self._numbers is None:
-            return self._whole[paths, instants]
-        if not isinstance(paths, slice):
-            return self._whole[int(self._numbers[paths]), instants]
-        rows = [self._whole[int(number), instants] for number in self._numbers[paths]]
-        return np.stack(rows) if rows else np.empty((0, stop - start, self.shape[2]))
-
-
-class InFile:
-    """Samples (paths, T, components) of which parts are read as they are asked for."""
-
-    def __init__(self, data: Any, time_first: bool) -> None:
-        self._data, self._time_first = data, time_first
-        n, m, width = data.shape
-        self.shape = (m, n, width) if time_first else (n, m, width)
-        self.ndim, self.dtype, self._factor = 3, data.dtype, 1.0
-
-    def times(self, factor: float) -> InFile:
-        """The same, times a number."""
-        found = InFile(self._data, self._time_first)
-        found._factor = self._factor * factor
-        return found
-
-    def __getitem__(self, place: Any) -> Any:
-        """By paths and instants."""
-        paths, instants = place
-        if not self._time_first:
-            return self._factor * self._data[paths, instants]
-        part = self._factor * self._data[instants, paths]
-        return np.swapaxes(part, 0, 1) if part.ndim == 3 else part
