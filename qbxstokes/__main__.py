@@ -56,7 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     if isinstance(sys.stderr, io.TextIOWrapper):  # and not taken by a test
         told = sys.stderr
-        sys.stderr = _Remarks(told.buffer, told.encoding, told.errors, line_buffering=True)
+        remarks = _Remarks(told.buffer, told.encoding, told.errors, line_buffering=True)
+        remarks.beneath = told  # it would close the buffer when it goes
+        sys.stderr = remarks
     from qbxstokes.cli.main import run_command
 
     return run_command(sys.argv[1:] if arguments is None else arguments)
