@@ -36,6 +36,8 @@ def share_threads() -> None:
 class _Remarks(io.TextIOWrapper):
     """Standard error that ends no run where nobody reads it, `2>&1 | head`, or a disk is full."""
 
+    beneath: io.TextIOWrapper
+
     def write(self, text: str, /) -> int:
         try:
             return super().write(text)
