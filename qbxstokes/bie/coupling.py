@@ -205,8 +205,13 @@ class Coupled:
 
     @property
     def coarser(self) -> list[int]:
-        """Polar nodes of grids that show, by what they miss, how well these resolve."""
-        return [max(n - _LESS, LEAST_NODES - _LESS) for n in self.nodes]
+        """Polar nodes of grids that show, by what they miss, how well these resolve.
+
+        The least grids lose one node only beside finer ones, whose gaps decide.
+        """
+        alike = max(self.nodes) <= LEAST_NODES
+        less = [_LESS if n > LEAST_NODES or alike else 1 for n in self.nodes]
+        return [max(n - few, min(n, 4)) for n, few in zip(self.nodes, less, strict=True)]
 
     def estimated(self, fine: Array, coarse: Array, size: float = 0.0) -> float:
         """Estimated largest error of what was found here, by what the coarser grids found.
