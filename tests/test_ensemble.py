@@ -177,6 +177,25 @@ def test_spin_of_a_heavy_sphere_follows_a_vorticity_that_turns() -> None:
     assert np.abs(found.mean_in_time[0, place] - spin**2).max() < 1e-6
 
 
+@pytest.mark.slow
+def test_axes_diffuse_in_gradients_that_forget_at_once() -> None:
+    """White noise: -ln <p(0).p(t)> = <p'^2> (sqrt(pi/2) tau t - tau^2), by G. I. Taylor's formula
+
+    for the correlation exp(-t^2/(2 tau^2)) of the gradients and a small tau, with axes at random.
+    """
+    tau, k = 0.05, 0.2
+    series = qs.GradientSeries.gaussian(
+        paths=1500, end=12.0, spacing=0.025, correlation_time=tau, rate=1.0, seed=3
+    )
+    found = qs.ensemble(body(k), series, statistics={"sampling": False, "correlation": 60})
+    shape = (1.0 - k * k) / (1.0 + k * k)
+    late = found.lag > 2.0
+    assert late.sum() > 5
+    exact = (1.0 / 6.0 + shape**2 / 10.0) * (np.sqrt(0.5 * np.pi) * tau * found.lag - tau**2)
+    ratio = -np.log(found.correlation[0, late]) / exact[late]
+    assert ratio.mean() == pytest.approx(1.0, abs=0.06)
+
+
 def test_cosines_of_gradients_that_die_out_are_cosines() -> None:
     times = np.linspace(0.0, 1.0, 11)
     a = smooth_gradients(3, 4, times) * np.exp(-70.0 * np.arange(11.0))[:, None, None]
