@@ -48,7 +48,7 @@ FACTOR, SLOW = 400.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
 # Polar nodes that the grids of an error estimate have less; relative errors, in tolerances of the
 # problem, that both solutions may share, and of sums at mirrored points: second derivatives count.
-_LESS, _SHARED, _MIRRORED = 2, 0.01, 0.1
+_LESS, _SHARED, _MIRRORED = 2, 0.1, 0.1
 # Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
 KEPT_NUMBERS = 1.5e8
 

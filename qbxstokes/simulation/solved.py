@@ -50,7 +50,7 @@ class Solution:
 
     @cached_property
     def coarser(self) -> Solution:
-        """The same with two polar nodes less and everything else five times looser."""
+        """The same with two polar nodes less and everything else ten times looser."""
         return self._again(self.problem.coarser)
 
     @cached_property

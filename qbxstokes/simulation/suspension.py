@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 MOST_RESISTANCE = 50
 # How much more closely harmonics are summed than the grids resolve, how much more closely than that
 # the linear system is solved, and how much less closely both for the estimate of errors.
-_SUMS, _SOLVER, _LOOSER = 0.1, 0.1, 5.0
+_SUMS, _SOLVER, _LOOSER = 0.1, 0.1, 10.0
 
 
 class Suspension:
