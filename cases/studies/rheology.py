@@ -19,7 +19,8 @@ Expected: a sphere 2.5; rods of 2, 5, 10 and 25 to one 2.908, 5.806, 13.63, 55.1
           at large Pe Brenner's formulas to 1.3 % (rod of 50:1) and 0.2 % (disc of 1:50);
           dumbbells: the series' 18/35 and 38/35 to 0.04 %, at large Pe 0.658 and 1.203 where
           Stewart & Sorensen have 0.678 and 1.20; Hinch & Leal's factors of slender rods to 0.9 %
-          (Batchelor's A among them), of discs to 3.4 %; near spheres Leal & Hinch's loss of
+          (Batchelor's A among them), of discs to 3.4 %, of near spheres to 0.02 %, with which
+          Leal & Hinch's constitutive equations have near spheres' loss of
           viscosity 0.3 e^2, N1 = 0.6 e^2 and N2 = -N1/7 at Pe = 6 to 0.03 %; extension and
           small oscillations to 1e-7; N1 > 0 > N2 everywhere.
 """
@@ -93,6 +94,15 @@ def factors(k: float) -> list[float]:
     """Hinch & Leal's A, B, C: stress 2 mu (A <pppp>:E + B (<pp>.E + E.<pp>) + C E)."""
     s0, s1, s2, _ = np.resize(body(k).stress.numbers, 4) / (2.0 * body(k).shape.volume)
     return [float(1.5 * s0 - 2.0 * s1 + 0.5 * s2), float(s1 - s2), float(s2)]
+
+
+def second_order(linear: tuple[float, float], index: int, small: float = 0.01) -> float:
+    """Coefficient of e^2 in a factor of r = 1 + e: what is left of it over e^2, extrapolated."""
+    left = [
+        (factors(1.0 / (1.0 + e))[index] - linear[0] - linear[1] * e) / e**2
+        for e in (small, 2.0 * small)
+    ]
+    return 2.0 * left[0] - left[1]
 
 
 def near_sphere(number: float, small: float = 0.02) -> list[float]:
@@ -206,6 +216,8 @@ def published(small: bool) -> dict[str, float]:
         ("rod of 50:1, B", slender[1], (6.0 * log - 11.0) / 2500, "Hinch & Leal"),
         ("disc of 1:50, A", drum[0], drum_a, "Hinch & Leal"),
         ("disc of 1:50, C", drum[2], 400 / (3 * math.pi), "Hinch & Leal"),
+        ("near a sphere, A/e^2", second_order((0.0, 0.0), 0), 395 / 147, "Hinch & Leal"),
+        ("near a sphere, B: e^2", second_order((0.0, 15 / 14), 1), -895 / 588, "Hinch & Leal"),
         ("near a sphere, loss of [eta] to Pe = 6, over e^2", -eta, 0.3, "Leal & Hinch"),
         ("near a sphere at Pe = 6, N1/e^2", n1, 0.6, "Leal & Hinch"),
         ("near a sphere at Pe = 6, -N2/N1", -n2 / n1, 1 / 7, "Leal & Hinch"),
