@@ -226,16 +226,14 @@ def published(small: bool) -> dict[str, float]:
         ("[eta], or of a dumbbell", "here", "published", "by"),
         [(name, f"{ours:.5g}", f"{value:.5g}", who) for name, ours, value, who in rows],
     )
-    found = {name: abs(ours / value - 1.0) for name, ours, value, _ in rows[-16:]}
     return {
-        "sphere": abs(rows[0][1] / 2.5 - 1.0),
+        **{name: abs(ours / value - 1.0) for name, ours, value, _ in rows},
         "largest difference from Scheraga's digits": max(
             abs(float(f"{rest[1 / r]:.4g}") - value) for r, value in SCHERAGA.items()
         ),
         "Simha's formula at 25:1, relative": abs(simha(25.0) / rest[1 / 25] - 1.0),
         "table of Mehl et al., largest": tabulated[-1],
         "table of Mehl et al., median": tabulated[len(tabulated) // 2],
-        **found,
     }
 
 
