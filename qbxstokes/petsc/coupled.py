@@ -97,11 +97,11 @@ def _first(pair: tuple[int, Any]) -> int:
 
 def own_bodies(nodes: list[int], comm: Any) -> list[int]:
     """Bodies of this rank: the costly ones dealt first, each to the rank with least so far."""
-    load = np.zeros(comm.getSize())
-    own = []
+    load, own, whole = np.zeros(comm.getSize()), [], sum(n * n for n in nodes)
     for b in sorted(range(len(nodes)), key=lambda b: (-nodes[b], b)):
         rank = int(np.argmin(load))
-        load[rank] += nodes[b] ** 2  # its points, at which all flows are summed
+        points = nodes[b] ** 2  # at which the flows of all others are summed
+        load[rank] += points * (whole - points) if len(nodes) > 1 else 1.0
         if rank == comm.getRank():
             own.append(b)
     return sorted(own)
