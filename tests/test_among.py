@@ -68,6 +68,10 @@ def test_tractions_add_up_to_the_loads_on_every_body() -> None:
     flow, load = two(1e-4)
     cosine, weights = np.polynomial.legendre.leggauss(24)
     theta, phi = np.arccos(-cosine), 2.0 * np.pi * np.arange(48) / 48
+    wall = flow.surface(np.zeros(9), np.zeros(11), 2)
+    assert np.abs(wall["velocity"]).max() < 1e-4
+    assert wall["points"].shape == (9, 11, 3)
+    assert np.allclose(wall["traction"][..., 1], -wall["pressure"], atol=1e-4)  # no slip, no strain
     for b, body in enumerate(flow.problem.bodies):
         found, k = flow.surface(theta, phi, b), body.ratio
         area = body.size**2 * k * np.sqrt(np.sin(theta) ** 2 + (k * np.cos(theta)) ** 2)
@@ -113,7 +117,7 @@ def test_a_motion_stores_surfaces_for_paraview_and_is_animated(
     assert run_command(["motion.yaml", "--quiet"]) == 0
     found = qs.load("motion.h5")
     with h5py.File("motion.vtkhdf") as file:
-        for name in ("surface_1", "surface_2"):
+        for name in ("surface_1", "surface_2", "wall"):
             steps = file["VTKHDF"][name]["Steps"]
             assert steps.attrs["NSteps"] == 2
             assert "traction" in file["VTKHDF"][name]["PointData"]

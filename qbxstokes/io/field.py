@@ -2,7 +2,8 @@
 
 Layout: `field/time` (T,); per set of points a group with `points` (T, N, 3), the quantities
 (T, N, ...), `inside` (T, N) and `source` (T, N), attribute `shape` (the grid, last index fastest)
-and what describes the grid; `field/surface` with points, traction and pressure (T, N, ...);
+and what describes the grid; `field/surface` (of several bodies `surface_1` and so on) and
+`field/wall` with points, traction and pressure (T, N, ...);
 `field/streamlines` with `points` (T, lines, samples, 3); `field/tracers` with `time` and
 `points` (samples, tracers, 3), and the body's `position` and `orientation` then where it moves.
 Everything is in the space frame; values inside the body are NaN.

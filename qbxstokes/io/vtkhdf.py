@@ -46,7 +46,7 @@ def export(result: h5py.File, path: Path, folder: Path | None = None) -> Path:
                 continue
             if name in ("tracers", "error"):
                 continue  # on instants of their own, and a sample of the plane
-            polygonal = name.startswith("surface") or name == "streamlines"
+            polygonal = name.startswith("surface") or name in ("wall", "streamlines")
             kind = "PolyData" if polygonal else "UnstructuredGrid"
             part = _typed(root, name, kind)
             part.attrs["Index"] = np.int64(len(writers))

@@ -128,6 +128,7 @@ class FieldWork:
         several = () if loaded.case.bodies is None else loaded.case.bodies
         # Names of the surfaces in the file, in the order of the bodies.
         self.surfaces = [f"surface_{b + 1}" for b in range(len(several))] or ["surface"]
+        self.surfaces += ["wall"] if loaded.case.wall is not None else []
         self.targets = targets_of(loaded, section)
         self.plane = next((t for t in self.targets if t.name == "plane"), None)
         self._gathering = Gathering(comm, work, FIELD, every=every, most=MOST)

@@ -153,7 +153,9 @@ class FlowAmong:
         return {"gradient": gradient / step[:, :, None], "pressure_gradient": slope / step}
 
     def surface(self, theta: Array, phi: Array, b: int = 0) -> dict[str, Array]:
-        """As `bie.field.FlowAround.surface`, of body b."""
+        """As `bie.field.FlowAround.surface`, of body b; one more is the wall, near the bodies."""
+        if b == len(self.problem.bodies):
+            return self._wall(len(theta), len(phi))
         body = self.problem.bodies[b]
         arms = body.size * body.shape.surface(theta[:, None], phi) @ body.rotation.T
         normals = body.shape.normal(theta[:, None], phi) @ body.rotation.T
@@ -168,6 +170,28 @@ class FlowAmong:
             "pressure": values["pressure"].reshape(points.shape[:-1]),
             "velocity": self.solution.velocity[b]
             + np.cross(self.solution.angular_velocity[b], arms),
+        }
+
+    def _wall(self, first: int, second: int) -> dict[str, Array]:
+        """A square of the wall below the bodies, with what the fluid exerts on it."""
+        wall, bodies = self.problem.wall, self.problem.bodies
+        assert wall is not None
+        centres = np.stack([body.position for body in bodies])
+        middle = centres.mean(axis=0)
+        reach = max(body.size * body.shape.radius for body in bodies)
+        reach = 3.0 * reach + float(np.linalg.norm(centres - middle, axis=1).max())
+        across = np.linalg.svd(wall.normal[None, :])[2][1:]
+        sides = (np.linspace(-reach, reach, count) for count in (first, second))
+        grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+        points = middle - wall.height(middle) * wall.normal + grid @ across
+        values = self.evaluate(points.reshape(-1, 3), ("pressure", "stress", "velocity"))
+        stress = symmetric(values["stress"]).reshape(*points.shape, 3)
+        return {
+            "points": points,
+            "normals": np.broadcast_to(wall.normal, points.shape),
+            "traction": stress @ wall.normal,
+            "pressure": values["pressure"].reshape(points.shape[:-1]),
+            "velocity": values["velocity"].reshape(points.shape),
         }
 
     # -- errors -------------------------------------------------------------------------------
