@@ -440,6 +440,14 @@ def test_paths_that_follow_one_another_in_a_file(tmp_path: Path) -> None:
     assert np.abs(two - a[[2, 0], :15].reshape(2, 15, 9)).max() < 1e-14
     square = qs.GradientSeries.from_file(name, dataset="square", time="time")
     assert np.abs(square.read(1, 3, 4, 9) - a[1:, 4:9].reshape(2, 5, 9)).max() < 1e-14
+    np.save(tmp_path / "a.npy", np.swapaxes(a, 0, 1).astype(np.float32))
+    np.save(tmp_path / "t.npy", t)
+    layout = ["time", "trajectory"]
+    mapped = qs.GradientSeries.from_file(tmp_path / "a.npy", time="t.npy", layout=layout, unit=2.0)
+    assert np.abs(mapped.read(1, 3, 4, 9) - 2.0 * a[1:, 4:9].reshape(2, 5, 9)).max() < 1e-6
+    assert np.array_equal(mapped.times, t / 2.0)
+    with pytest.raises(FlowError, match="cannot be read"):
+        qs.GradientSeries.from_file(tmp_path / "a.npy", time="none.npy")
     given = {"file": str(name), "rows": "rowsize"}
     flow = qs.flow("linear", gradient=given, trajectory=2)
     assert np.abs(flow.gradient(np.zeros(3), 1.7) - a[2, 17]).max() < 1e-12

@@ -215,7 +215,8 @@ def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> G
     of one path needs none. Where paths follow one another in a dataset (n, 9), `rows` is that of
     their lengths (`rowsize` of CF's contiguous ragged arrays); they are taken as far as the
     shortest, with the same times, or one alone, the trajectory. CSV and NPY: rows of t and eight or
-    nine components, one path. unit: the flow's unit of time in that of the file, by which times are
+    nine components, one path; or NPY of many paths, mapped, with `time` the NPY file of the
+    instants beside it. unit: the flow's unit of time in that of the file, by which times are
     divided and gradients multiplied.
     With {process: gaussian, rate, correlation_time, paths, end, spacing, seed} the paths are made
     at random (`random_gradients`). Raises FlowError.
@@ -231,6 +232,9 @@ def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> G
     if path.suffix in (".h5", ".hdf5", ".nc", ".nc4"):
         read = _of_rows(path, given, trajectory) if "rows" in given else _of_hdf5(path, given)
         times, samples = read
+        return GradientSeries(times / unit, samples.times(unit), **rules)
+    if path.suffix == ".npy" and "time" in given:
+        times, samples = _of_npy(path, given)
         return GradientSeries(times / unit, samples.times(unit), **rules)
     try:
         numbers = read_table(path).numbers
@@ -270,13 +274,30 @@ def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
         times = np.asarray(times[:], dtype=np.float64)
     except (OSError, KeyError) as error:
         raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
+    return times, _laid_out(data, given, order)
+
+
+def _of_npy(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
+    try:
+        data = np.load(path, mmap_mode="r", allow_pickle=False)
+        times = np.load(path.parent / str(given["time"]), allow_pickle=False).astype(np.float64)
+    except (OSError, ValueError, TypeError) as error:
+        raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
+    return times, _laid_out(data, given, ["trajectory", "time"])
+
+
+def _laid_out(data: Any, given: Mapping[str, Any], order: list[str]) -> InFile:
+    """Samples of which the file tells the order of axes, or else the case."""
     layout = list(given.get("layout", order))
     if sorted(layout) != ["time", "trajectory"]:
         right = "[trajectory, time] or [time, trajectory]"
         raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
     if data.ndim == 2 or (data.ndim == 3 and data.shape[1:] == (3, 3)):
-        return times, InFile(data[...].reshape(1, len(data), -1), False)
-    return times, InFile(data, layout[0] == "time")
+        return InFile(data[...].reshape(1, len(data), -1), False)
+    if data.ndim not in (3, 4):
+        wrong = f"samples have shape {data.shape}; paths, instants and components are expected"
+        raise FlowError(wrong, ("gradient", "file"))
+    return InFile(data, layout[0] == "time")
 
 
 def _of_rows(path: Path, given: Mapping[str, Any], trajectory: int | None) -> tuple[Array, Any]:
