@@ -233,6 +233,15 @@ ODD: dict[str, dict[str, Any]] = {  # what random edits have found
     },
     "empty among values": {"sweep": {"axes": [{"body.stokes_number": [0, [], 1]}]}},
     "a body too small": {"body": None, "bodies": [{"aspect_ratio": 1, "size": 1e-300}]},
+    "no section beside bodies": {
+        "task": "motion",
+        "body": None,
+        "bodies": [{"aspect_ratio": 1}],
+        "surroundings": None,
+        "hydrodynamics": "abc",
+        "field": {"plane": {"shape": [5, 5], "extent": [5, 6, 5, 6]}},
+    },
+    "all but massless": {"body": {"aspect_ratio": 1, "stokes_number": 1e-300}},
     "in the wall": {"surroundings": {"type": "wall"}, "time": {"end": 1}},
 }
 

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+import qbxstokes as qs
 from qbxstokes.bie.exterior import INSIDE, TABLE, resolving_grid, surface_map
 from qbxstokes.bie.field import (
     FlowAround,
@@ -401,3 +402,13 @@ def test_path_lines_conserve_the_stream_function():
     psi = (lines[..., 0] ** 2 + lines[..., 1] ** 2) * (0.5 - 0.75 / r + 0.25 / r**3)
     assert r.min() > 1.0
     assert np.abs(psi / psi[:, :1] - 1.0).max() < 1e-7
+
+
+def test_nothing_disturbs_a_fluid_at_rest():
+    """The solver is never asked, so that it has no iterations to tell of."""
+    still = {"type": "uniform", "velocity": [0.0, 0.0, 0.0]}
+    plane = {"shape": [5, 5], "extent": [2.0, 3.0, 2.0, 3.0]}
+    found = qs.run(
+        {"task": "field", "body": {"aspect_ratio": 0.5}, "flow": still, "field": {"plane": plane}}
+    )
+    assert not np.any(found.velocity)

@@ -215,7 +215,8 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
         if given is None and section == "hydrodynamics":
             given = {}
         if isinstance(given, dict) and "tolerance" not in given:
-            inherited = data["hydrodynamics"]["tolerance"] if section == "field" else TOLERANCE
+            held = data["hydrodynamics"] if section == "field" else None
+            inherited = held["tolerance"] if isinstance(held, dict) else TOLERANCE
             data[section] = {**given, "tolerance": inherited}
     if isinstance(data.get("field"), dict):
         data["field"] = _field(data["field"], bool(data.get("bodies")))

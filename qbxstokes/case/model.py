@@ -157,7 +157,10 @@ Vector = Annotated[tuple[float, float, float], VECTOR]
 Direction = Annotated[tuple[float, float, float], pointing(VECTOR)]
 Angle = Annotated[float, number(to_angle)]
 Positive = Annotated[float, number(gt=0, ge=1.0 / LARGEST)]
-NotNegative = Annotated[float, number(ge=0)]
+_NO_LESS = f"0, or >= {1.0 / LARGEST:g}"
+NotNegative = Annotated[
+    float, refined(number(ge=0), lambda value: value == 0 or value >= 1.0 / LARGEST, _NO_LESS)
+]
 Share = Annotated[float, number(gt=0, lt=1)]
 Tolerance = Annotated[float, number(gt=0, le=0.1)]
 Instants = Annotated[tuple[float, ...], some(number())]

@@ -130,6 +130,8 @@ class AroundBody:
     def last_solve(self) -> tuple[int, float]:
         """Iterations and true residual of the latest solution."""
         (solver,) = self._solvers.values()
+        if not solver.records:  # nothing disturbs a fluid at rest
+            return 0, 0.0
         record = solver.records[-1]
         return record.iterations, record.true_residual
 
