@@ -55,9 +55,12 @@ def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
 
 
 def scene_figure(result: ResultLike) -> Figure:
-    """The paths in the plane of motion, true to scale, with outlines at the start and the end."""
+    """The paths in the plane of motion, true to scale, with outlines from the start to the end."""
     figure = style.new_figure(style.PAGE, 4.0)
-    _draw_scene(figure.add_subplot(), result)
+    axes = figure.add_subplot()
+    _draw_scene(axes, result)
+    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    figure.set_figheight(float(np.clip(style.PAGE * height / width, 1.2, 6.0)) + 0.7)
     return figure
 
 
@@ -118,22 +121,39 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
     position, axis = position[whole], axis[whole]
     along, across = _plane(result, position)
     bodies = outlines(result, position.shape[1])
+    seen = []
     for b, (shape, size) in enumerate(bodies):
         look = style.line_style(b)
         path = position[:, b, [along, across]]
         name = f"body {b + 1}" if len(bodies) > 1 and b < _MANY else None
         axes.plot(*path.T, label=name, **look)
-        for place, filled in ((0, False), (-1, True)):
+        for place in _apart(path, 2.5 * size * shape.radius):
             edge = path[place] + _edge(shape, size, axis[place, b], [along, across])
-            face = look["color"] if filled else "none"
+            face = look["color"] if place == len(path) - 1 else "none"
             axes.fill(*edge.T, facecolor=face, edgecolor=look["color"], alpha=0.5, linewidth=0.8)
+            seen += [edge.min(axis=0), edge.max(axis=0)]
     draw_wall(axes, result, *np.eye(3)[[along, across]])
+    if (wall := wall_of(result)) is not None and wall[0][across]:  # with some of what is behind
+        seen.append(np.array([seen[0][0], wall[1][across] - 0.3 * wall[0][across]]))
+    low, high = np.min(seen, axis=0), np.max(seen, axis=0)
+    room = 0.03 * np.max(high - low)
+    axes.set_xlim(low[0] - room, high[0] + room)
+    axes.set_ylim(low[1] - room, high[1] + room)
     parts = MOTION["position"].symbols
     axes.set_xlabel(style.label(f"${parts[along]}$", units(result, "position")))
     axes.set_ylabel(style.label(f"${parts[across]}$", units(result, "position")))
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal", adjustable="box")
     if len(bodies) > 1:
         style.legend_above(axes)
+
+
+def _apart(path: Array, distance: float) -> list[int]:
+    """The first instant of a path (T, 2), the last, and those between that are apart in space."""
+    places, last = [0], len(path) - 1
+    for place in range(1, last):
+        if min(np.linalg.norm(path[place] - path[[places[-1], last]], axis=1)) > distance:
+            places.append(place)
+    return [*places, last]
 
 
 def _plane(result: ResultLike, position: Array) -> tuple[int, int]:

@@ -33,6 +33,12 @@ def scene(loaded: LoadedCase) -> Rows:
         yield "body", f"{shape_text(body.outline)}{size}, at ({vector(body.start.position)})"
     if len(members) > MANY:
         yield "", f"and {len(members) - MANY} more"
+    yield from around(loaded)
+
+
+def around(loaded: LoadedCase) -> Rows:
+    """What bounds the fluid, the flow, and what acts between the bodies."""
+    case = loaded.case
     if case.wall is not None:
         wall = case.wall
         yield "wall", f"through ({vector(wall.point)}), normal ({vector(wall.normal)})"

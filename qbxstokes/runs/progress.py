@@ -44,6 +44,7 @@ class Progress:
         self._interval = _LINE_INTERVALS[0] if style == "line" else _BAR_INTERVAL
         self._bar: Any = None
         self._before, self._share = before, 0.0
+        self._last: tuple[int, int] | None = None
         if style == "bar":
             from tqdm import tqdm
 
@@ -64,14 +65,14 @@ class Progress:
             self._tell(done, failed)
 
     def close(self, done: int, failed: int) -> None:
-        """Tell the last state."""
-        if self._style != "none":
+        """Tell the last state, where that is not what was told last."""
+        if self._style != "none" and self._last != (done, failed):
             self._tell(done, failed)
         if self._bar is not None:
             self._bar.close()
 
     def _tell(self, done: int, failed: int) -> None:
-        self._told = time.monotonic()
+        self._told, self._last = time.monotonic(), (done, failed)
         if self._bar is not None:
             self._bar.n = done + failed
             if failed:

@@ -12,6 +12,7 @@ from qbxstokes.io.results import SweepResult, load
 from qbxstokes.io.sweep import Layout
 from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate
+from qbxstokes.runs.coupled_report import around
 from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size, vector
 from qbxstokes.runs.sweep_layout import Swept
 
@@ -55,7 +56,8 @@ def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ra
 def _text(scenes: Swept, sections: Mapping[str, Rows]) -> str:
     loaded = scenes.loaded
     title = f"Sweep: {loaded.case.title or loaded.path.stem}"
-    return render(title, str(loaded.path), {"Varies": _axes(scenes), **sections})
+    scene = around(loaded) if loaded.case.coupled else ()
+    return render(title, str(loaded.path), {"Scene": scene, "Varies": _axes(scenes), **sections})
 
 
 def _runs(scenes: Swept, layout: Layout, estimate: Estimate) -> Rows:
