@@ -139,3 +139,19 @@ def test_a_motion_stores_surfaces_for_paraview_and_is_animated(
 def test_fields_that_bodies_cannot_have_are_told(change: dict[str, Any], told: str) -> None:
     with pytest.raises(CaseError, match=told):
         qs.run({**SCENE, "task": "field", "field": {**SCENE["field"], **change}})
+
+
+def test_instants_beyond_the_end_of_a_motion_have_no_field() -> None:
+    case = {
+        "body": {"aspect_ratio": 1},
+        "start": {"position": [0, 1.6, 0]},
+        "surroundings": {"type": "wall"},
+        "forces": {"force": [0, -20, 0]},
+        "time": {"end": 5, "samples": 11, "tolerance": 1e-2},
+        "hydrodynamics": {"tolerance": 1e-2},
+        "events": {"clearance": 0.3},
+        "field": {"surface": {"shape": [5, 4]}, "at": [0, 5], "check": 0},
+    }
+    found = qs.run(case)
+    assert found.time[-1] < 2.0
+    assert found.groups["field"]["time"].tolist() == [0.0]

@@ -12,6 +12,7 @@ from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.from_case import end_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.tables import TableError, read_table
 
@@ -78,7 +79,10 @@ def instant_of(section: FieldSection, start: Simulation) -> Instant:
 
 
 def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
-    """Indices of the stored instants at which a motion wants its field; raises CaseError."""
+    """Indices of the stored instants at which a motion wants its field; raises CaseError.
+
+    What lies beyond the end of a motion that an event ended is left out.
+    """
     section = loaded.case.field
     assert section is not None
     if section.every is not None:
@@ -86,7 +90,10 @@ def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
     if section.at is None:
         return [len(times) - 1]
     found = []
+    early = times[-1] < end_of(loaded)
     for number, instant in enumerate(section.at):
+        if early and instant > times[-1]:
+            continue
         index = int(np.abs(times - instant).argmin())
         if abs(times[index] - instant) > 1e-9 * max(1.0, abs(times[-1])):
             raise loaded.error(
@@ -95,7 +102,7 @@ def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
                 f"the nearest one is {times[index]:.17g}; time.at stores any",
             )
         found.append(index)
-    return found
+    return found or [len(times) - 1]
 
 
 def plane_axes(plane: Plane) -> tuple[Array, Array]:
