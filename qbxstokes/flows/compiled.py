@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numba
@@ -31,7 +32,7 @@ def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any
     if set(names[places:]) != set(parameters):
         wrong = f"the function's parameters are {names[places:]}, and given are {list(parameters)}"
         raise FlowError(wrong, _KEY)
-    own = function if hasattr(function, "py_func") else inner(plain)
+    own = function if hasattr(function, "py_func") else _own(plain)
     try:
         numbers = tuple(float(parameters[name]) for name in names[places:])
     except (TypeError, ValueError):
@@ -46,7 +47,19 @@ def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any
         found = 0.0, 0.0, 0.0
     if not isinstance(found, tuple) or len(found) != 3:
         raise FlowError("a compiled function returns three numbers, u1, u2, u3", _KEY)
-    if places == 4:
+    return _point(own, places == 4, numbers), places == 4
+
+
+@cache
+def _own(plain: Callable[..., Any]) -> Any:
+    """A plain function, compiled once for all flows that it makes."""
+    return inner(plain)
+
+
+@cache
+def _point(own: Any, timed: bool, numbers: tuple[float, ...]) -> Any:
+    """The function with its parameters, once for all flows that are alike."""
+    if timed:
 
         @inner
         def point(x: float, y: float, z: float, t: float) -> Any:
@@ -58,7 +71,7 @@ def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any
         def point(x: float, y: float, z: float, t: float) -> Any:
             return own(x, y, z, *numbers)
 
-    return point, places == 4
+    return point
 
 
 @inner
