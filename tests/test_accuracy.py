@@ -159,6 +159,19 @@ def test_nodes_from_the_rate_resolve_a_singularity(k, distance):
             )
 
 
+@pytest.mark.parametrize("place", [(7.4, 0.0, 0.3), (0.0, 6.6, 1.4), (2.0, 1.0, 2.2), (0, 0, 2.5)])
+def test_nodes_resolve_a_singularity_by_the_rim_of_a_disc(place):
+    """There harmonics of high azimuthal order decay more slowly than those of low order."""
+    shape, tolerance = Spheroid(6.0), 1e-9
+    functional = plain_body(shape, choose_scheme(1e-10)).functional
+    flow = Stokeslet([1.0, -0.4, 0.7], place)
+    grid = functional.on_grid(*flow_nodes(float(shape.flow_decay(place)), tolerance)[::-1])
+    motion = np.einsum("anj,nj->a", grid.weights, flow.velocity(grid.points))
+    exact = np.concatenate(faxen.free_motion(6.0, np.eye(3), np.zeros(3), flow.velocity, 250))
+    assert np.linalg.norm(motion[:3] - exact[:3]) < 3 * tolerance * np.linalg.norm(exact[:3])
+    assert np.linalg.norm(motion[3:] - exact[3:]) < 9 * tolerance * np.linalg.norm(exact[3:])
+
+
 def test_flow_error_falls_with_the_nodes():
     functional = plain_body(Spheroid(0.5), choose_scheme(1e-10)).functional
     flow = Stokeslet([1.0, 1.0, 1.0], [0.9, 0.2, 0.8])

@@ -94,7 +94,7 @@ class AdaptiveGridMotion:
     def decay(self, x: Array, q: Array) -> Array:
         """Rate (n,) per degree of the flow's harmonics on each body, 1 for a singular surface."""
         arms = (self._flow.singular_points - x[:, None, :]) @ matrix(q)
-        rates = self._functional.grid.shape.decay(arms)
+        rates = self._functional.grid.shape.flow_decay(arms)
         return np.asarray(np.max(rates, axis=1))
 
     def nodes(self, x: Array, q: Array, t: float = 0.0) -> list[tuple[int, int]]:

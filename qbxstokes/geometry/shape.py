@@ -123,6 +123,10 @@ class Shape(ABC):
         """
         return np.ones(np.shape(points)[:-1])
 
+    def flow_decay(self, points: ArrayLike) -> Array:
+        """The same of a flow that is singular at the points, of every azimuthal order."""
+        return self.decay(points)
+
     def interior_balls(self) -> tuple[Array, Array]:
         """Centres (n, 3) and radii (n,) of balls inside, which overlap and nearly fill the body."""
         rng = np.random.default_rng(0)

@@ -199,6 +199,36 @@ class Spheroid(Revolution):
         xi + sqrt(xi^2 - 1) in the expansion of 1/|x - y| (Hobson 1931, chapter X). It is 1 on the
         surface and not below it, and for a sphere the ratio of the distances.
         """
+        k, s = float(self.aspect_ratio), self._confocal(points)
+        return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
+
+    def flow_decay(self, points: ArrayLike) -> Array:
+        """The same of harmonics of every order m, as a flow that is singular at the points has.
+
+        Below `decay` in a flat body's plane alone, where those of m near the degree n decay as the
+        distance from its axis. With coordinates a' = f cosh t, c' = f sinh t and latitude b, where
+        f^2 = k^2 - 1, it is exp(-E), E the least over q = m/n of the exponents along t, of
+        sqrt(1 - q^2/cosh^2 t), and along b, of sqrt(q^2/cos^2 b - 1) beyond cos b = q (Liouville
+        and Green's form of the associated Legendre functions).
+        """
+        k, s = float(self.aspect_ratio), self._confocal(points)[..., None]
+        if k <= 1.0:
+            return self.decay(points)
+        q = np.linspace(0.0, 1.0 - 1e-6, 101)
+        p, far = np.sqrt(1.0 - q * q), np.sqrt((1.0 + s) / (k * k - 1.0))
+
+        def along(t: Array) -> Array:
+            return np.asarray(np.arcsinh(t / p) - q * np.arctanh(q * t / np.hypot(t, p)))
+
+        sine = np.minimum(np.abs(np.asarray(points, float)[..., 2:]) / np.sqrt(1.0 + s), 1.0)
+        x = np.maximum(sine, p)
+        share = np.sqrt(x * x - p * p) / np.maximum(q * x, 1e-300)
+        across = q * np.arctanh(np.minimum(share, 1.0 - 1e-15)) - np.arccosh(x / p)
+        exponent = along(far) - along(np.sqrt(1.0 / (k * k - 1.0))) + across
+        return np.asarray(np.exp(-exponent.min(axis=-1)))
+
+    def _confocal(self, points: ArrayLike) -> Array:
+        """s >= 0 (...) of the confocal spheroid of squares of semi-axes k^2 + s, 1 + s."""
         k, x = float(self.aspect_ratio), np.asarray(points, dtype=float)
         z2 = x[..., 2] ** 2
         r2 = x[..., 0] ** 2 + x[..., 1] ** 2
@@ -208,5 +238,4 @@ class Spheroid(Revolution):
         root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
         # The larger root, without cancellation whatever the sign of b.
         s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
-        s = np.maximum(s, 0.0)
-        return np.asarray((k + 1.0) / (np.sqrt(k * k + s) + np.sqrt(1.0 + s)))
+        return np.asarray(np.maximum(s, 0.0))

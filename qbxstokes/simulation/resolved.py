@@ -69,7 +69,7 @@ def flow_nodes_on(b: int, place: Placed, flow: Flow, t: float, tolerance: float)
         points = place.to_body(np.asarray(flow.singular_points, dtype=np.float64))
         if place.shape.clearance(points, np.zeros(3), np.eye(3)[2]).min(initial=np.inf) <= 0.0:
             raise FlowError(f"is singular in body {b}")
-        rate = float(place.shape.decay(points).max(initial=0.0))
+        rate = float(place.shape.flow_decay(points).max(initial=0.0))
         found = flow_nodes(rate, tolerance)[0]
     except FlowError as error:
         raise SceneError("flow", str(error), "nodes= as you judge, or another flow") from None
