@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from qbxstokes.io.results import load as load
     from qbxstokes.motion.equations import Constraints as Constraints
     from qbxstokes.motion.equations import Loads as Loads
-    from qbxstokes.runs.calls import run as run
-    from qbxstokes.runs.calls import sweep as sweep
+    from qbxstokes.runs.from_python import run as run
+    from qbxstokes.runs.from_python import sweep as sweep
     from qbxstokes.simulation.body import Body as Body
     from qbxstokes.simulation.body import flow as flow
     from qbxstokes.simulation.dimensionless import response_time as response_time
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_bodies import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
-    from qbxstokes.simulation.over_wall import OverWall as OverWall
     from qbxstokes.simulation.repulsion import Repulsion as Repulsion
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
     from qbxstokes.simulation.suspension import Suspension as Suspension
     from qbxstokes.simulation.wall import Wall as Wall
+    from qbxstokes.simulation.wall_table import OverWall as OverWall
 
 __version__ = "0.1.0"
 
@@ -54,7 +54,7 @@ _PUBLIC = {
     "Motion": "qbxstokes.simulation.result",
     "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
-    "OverWall": "qbxstokes.simulation.over_wall",
+    "OverWall": "qbxstokes.simulation.wall_table",
     "Suspension": "qbxstokes.simulation.suspension",
     "Repulsion": "qbxstokes.simulation.repulsion",
     "Wall": "qbxstokes.simulation.wall",
@@ -67,9 +67,9 @@ _PUBLIC = {
     "load_case": "qbxstokes.case.load",
     "response_time": "qbxstokes.simulation.dimensionless",
     "rheology": "qbxstokes.simulation.rheology",
-    "run": "qbxstokes.runs.calls",
+    "run": "qbxstokes.runs.from_python",
     "stokes_number": "qbxstokes.simulation.dimensionless",
-    "sweep": "qbxstokes.runs.calls",
+    "sweep": "qbxstokes.runs.from_python",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -14,8 +14,8 @@ import qbxstokes as qs
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.plots.animation import animate
-from qbxstokes.plots.choice import kinds
-from qbxstokes.simulation.among import FlowAmong
+from qbxstokes.plots.picture_choice import kinds
+from qbxstokes.simulation.flow_among import FlowAmong
 
 WALL = qs.Wall(normal=[0.0, 1.0, 0.0])
 SCENE: dict[str, Any] = {

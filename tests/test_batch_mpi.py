@@ -168,7 +168,7 @@ SWEEP_FAILS = [
     "qbxstokes.runs.block:compute_block",
     "qbxstokes.io.sweep:WholeFile.write_rows",
     "qbxstokes.io.store:write_whole full",
-    "qbxstokes.runs.scenes:Scenes.scene",
+    "qbxstokes.runs.sweep_blocks:Scenes.scene",
 ]
 MOTION_FAILS = [
     "qbxstokes.simulation.simulation:Simulation.assemble",

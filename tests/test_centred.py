@@ -20,8 +20,8 @@ from qbxstokes.petsc import stepper
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.system import RK_FORMULAS
 from qbxstokes.petsc.trajectory import Chunk
-from qbxstokes.runs.scenes import Scenes
-from qbxstokes.simulation.exact import exact_model
+from qbxstokes.runs.sweep_blocks import Scenes
+from qbxstokes.simulation.closed_forms import exact_model
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

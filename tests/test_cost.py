@@ -14,8 +14,8 @@ from qbxstokes.case.load import load_case
 from qbxstokes.petsc import session
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.cost import begun, estimate
-from qbxstokes.runs.scenes import Scenes
 from qbxstokes.runs.sweep import layout_of
+from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.lanes import LaneRun
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import qbxstokes as qs
-from qbxstokes.bie.coupling import gaps_of
+from qbxstokes.bie.multiple_scattering import gaps_of
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.plots.motion import drawings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.bie.coupling import Placed, closest
+from qbxstokes.bie.multiple_scattering import Placed, closest
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows.user import UserFlow

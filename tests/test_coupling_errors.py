@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
-from qbxstokes.bie.coupling import closest
+from qbxstokes.bie.multiple_scattering import closest
 from qbxstokes.geometry import rotation
 from qbxstokes.reference.bispherical import Bispherical, near_wall
 

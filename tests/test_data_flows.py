@@ -15,7 +15,7 @@ from scipy.linalg import expm
 import qbxstokes as qs
 from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SceneError
 from qbxstokes.reference.jeffery import axis_at
-from qbxstokes.runs import target
+from qbxstokes.runs import destination as target
 from qbxstokes.simulation.ensemble import Ensemble
 
 AXIS = np.array([0.48, 0.6, 0.64])

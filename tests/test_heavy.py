@@ -13,7 +13,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.reference import heavy
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
-from qbxstokes.simulation.exact import exact_model
+from qbxstokes.simulation.closed_forms import exact_model
 
 Array = Any
 

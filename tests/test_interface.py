@@ -20,7 +20,7 @@ from qbxstokes.reference import faxen, jeffery, lamb
     "module",
     [
         "qbxstokes",
-        "qbxstokes.runs.calls",
+        "qbxstokes.runs.from_python",
         "qbxstokes.simulation.body",
         "qbxstokes.simulation.simulation",
     ],

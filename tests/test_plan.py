@@ -16,7 +16,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.runs.plan import make_plan
-from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.simulation.hydrodynamics import Workshop
 
 WriteCase = Callable[..., Path]

@@ -26,13 +26,13 @@ from qbxstokes.io.results import Result, load
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Frames, animate
-from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.columns import Columns, figure_of
+from qbxstokes.plots.dense_samples import axis_path, between
 from qbxstokes.plots.orbit import drifts
 from qbxstokes.plots.path import draw_path
+from qbxstokes.plots.picture_source import sampling
 from qbxstokes.plots.series import alike
-from qbxstokes.plots.source import sampling
 from qbxstokes.reference import jeffery
 from qbxstokes.simulation.from_case import samples_of, times_of
 

@@ -15,7 +15,7 @@ from qbxstokes.errors import CaseError, OutputError, ResultFileError
 from qbxstokes.io import store
 from qbxstokes.io.store import DamagedPart, Work, holds_work, open_work, read_part, write_part
 from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.rows import ALONE
+from qbxstokes.runs.shared_rows import ALONE
 
 IDENTITY = {"body": {"aspect_ratio": 0.5}, "options": []}
 ROWS = {"index": np.arange(3), "x": np.linspace(0.0, 1.0, 6).reshape(3, 2), "n": np.float64(7.0)}

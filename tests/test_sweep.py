@@ -31,7 +31,7 @@ from qbxstokes.io.sweep import runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.quantities import MOTION
 from qbxstokes.reference import inertial, jeffery
-from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep_blocks import Scenes
 
 CASE: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},

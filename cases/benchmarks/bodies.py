@@ -17,7 +17,7 @@ import numpy as np
 from measure import Rows, command, timed
 
 import qbxstokes as qs
-from qbxstokes.bie.coupling import closest
+from qbxstokes.bie.multiple_scattering import closest
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.over_wall import rate
 from qbxstokes.reference.bispherical import Bispherical, near_wall

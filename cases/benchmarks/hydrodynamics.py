@@ -25,7 +25,7 @@ from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.petsc import session
 from qbxstokes.qbx.operator import Scheme, UniformScheme
-from qbxstokes.simulation.exact import true_error
+from qbxstokes.simulation.closed_forms import true_error
 
 # Aspect ratio, n_theta, order, r/h, upsampling.
 UNIFORM = (

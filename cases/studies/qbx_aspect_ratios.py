@@ -23,7 +23,7 @@ from common import Table, power
 import qbxstokes as qs
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme, plain_body
 from qbxstokes.plots import style
-from qbxstokes.simulation.exact import true_error
+from qbxstokes.simulation.closed_forms import true_error
 
 SCHEMES = ("uniform, fixed", "uniform, radius adapted", "graded, fixed", "graded, automatic")
 TOLERANCE = 1e-10

@@ -26,7 +26,7 @@ from qbxstokes.bie.accuracy import plain_body
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import GradedScheme, UniformScheme
-from qbxstokes.simulation.exact import true_error
+from qbxstokes.simulation.closed_forms import true_error
 
 SOURCES = 240  # polar nodes of the upsampled grid
 POWERS = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c < 4]

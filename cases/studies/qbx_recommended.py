@@ -24,7 +24,7 @@ from common import Table, power
 import qbxstokes as qs
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme, plain_body
 from qbxstokes.plots import style
-from qbxstokes.simulation.exact import true_error
+from qbxstokes.simulation.closed_forms import true_error
 
 TOLERANCES = (1e-4, 1e-7, 1e-10)
 GRADED = ("n_theta", "expansion_order", "radius_factor", "panel_order")

@@ -23,7 +23,7 @@ import qbxstokes as qs
 from qbxstokes.bie.accuracy import model_distance, plain_body
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import GradedScheme, UniformScheme
-from qbxstokes.simulation.exact import true_error
+from qbxstokes.simulation.closed_forms import true_error
 
 BODY, N_THETA = qs.Spheroid(0.5), 14
 

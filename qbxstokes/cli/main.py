@@ -201,8 +201,8 @@ def _one(words: Sequence[str], what: str) -> str:
 def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Validate case files; every bad one is told, the worst decides the exit status."""
     from qbxstokes.case.load import load_case
+    from qbxstokes.runs.destination import target_of
     from qbxstokes.runs.plan import plan_of
-    from qbxstokes.runs.target import target_of
 
     if not words:
         raise CaseError("command line: check needs at least one case file")

@@ -154,8 +154,8 @@ def drawings(
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
-    from qbxstokes.plots.choice import kinds as chosen
-    from qbxstokes.plots.source import sampling
+    from qbxstokes.plots.picture_choice import kinds as chosen
+    from qbxstokes.plots.picture_source import sampling
 
     result = _opened(path, trajectory)
     if result.task != "sweep" and (note := sampling(result)):

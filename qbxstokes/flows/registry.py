@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.above_wall import AboveWall
 from qbxstokes.flows.base import Flow, SumFlow
 from qbxstokes.flows.named import (
     Extension,
@@ -20,7 +21,6 @@ from qbxstokes.flows.named import (
     WallStagnation,
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.reflected import AboveWall
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths

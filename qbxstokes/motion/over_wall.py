@@ -1,6 +1,6 @@
 """One body over a wall, compiled: velocities from a table in gap and tilt, and dy/dt of them.
 
-The table and its units are those of `simulation.over_wall`, which makes it cell by cell.
+The table and its units are those of `simulation.wall_table`, which makes it cell by cell.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The coupled problem of several bodies as a PETSc shell matrix, solved by GMRES.
 
-The one-body inverses are inside the matrix (`bie.coupling`), which is the identity plus a compact
-operator. Bodies are dealt to the ranks of a communicator; at each product the ranks gather the
-coefficients of all bodies' exterior flows and each evaluates them on its own bodies.
+The one-body inverses are inside the matrix (`bie.multiple_scattering`), which is the identity plus
+a compact operator. Bodies are dealt to the ranks of a communicator; at each product the ranks gather
+the coefficients of all bodies' exterior flows and each evaluates them on its own bodies.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from qbxstokes.bie.coupling import Coupled
+from qbxstokes.bie.multiple_scattering import Coupled
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.petsc.session import temporary_options
 

@@ -4,7 +4,7 @@
 and cost nothing inside them. The steps do not depend on the instants that are asked for.
 
 Events are found by an observer between the steps, as roots of functions of the states inside a step
-(`inside`), and not by TSSetEventHandler. That one ends a step at each event and starts the next one
+(`dense_output`), not by TSSetEventHandler. That one ends a step at each event and starts the next
 afresh, so that the motion would depend on what is watched for; it acts within TSSolve alone, which
 leaves no place for cuts; and how well an instant is known depends on the size of the function's
 values near it. Compared over five Jeffery periods, both find half-turns equally well at the
@@ -37,8 +37,8 @@ from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunc
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
-from qbxstokes.petsc.inside import FEW, Inside
-from qbxstokes.petsc.pace import Pace
+from qbxstokes.petsc.dense_output import FEW, Inside
+from qbxstokes.petsc.implicit_pace import Pace
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory

@@ -19,12 +19,12 @@ from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.plots import style
-from qbxstokes.plots.between import axis_path, between
 from qbxstokes.plots.bodies import coupled, wall_of
 from qbxstokes.plots.camera import Camera, split_at_silhouette
+from qbxstokes.plots.dense_samples import axis_path, between
 from qbxstokes.plots.path import draw_path, plane_of_motion
+from qbxstokes.plots.picture_source import ResultLike, instants, samples, shape_of, vectors
 from qbxstokes.plots.series import moves
-from qbxstokes.plots.source import ResultLike, instants, samples, shape_of, vectors
 from qbxstokes.plots.surfaces import SHADES, colours, lit, mesh
 from qbxstokes.plots.together import SceneView, one_of
 

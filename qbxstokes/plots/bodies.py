@@ -16,8 +16,8 @@ from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 from qbxstokes.plots import style
 from qbxstokes.plots.path import plane_of_motion
+from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, units
 from qbxstokes.plots.series import draw_lines
-from qbxstokes.plots.source import ResultLike, instants, resolved_case, units
 from qbxstokes.quantities import MOTION
 
 if TYPE_CHECKING:

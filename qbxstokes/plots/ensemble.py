@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.plots import style
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.quantities import ENSEMBLE, LOOKED_AT, column
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from qbxstokes.plots import style
 from qbxstokes.plots.bodies import draw_wall
 from qbxstokes.plots.instant import directions, members_of, name_of, state, surfaces_of
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.plots.traction import traction_figure
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.plots.bodies import coupled, outlines
-from qbxstokes.plots.source import ResultLike, shape_of
+from qbxstokes.plots.picture_source import ResultLike, shape_of
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from qbxstokes.plots import bodies, style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
 from qbxstokes.plots.path import draw_path
+from qbxstokes.plots.picture_source import ResultLike, sampling
 from qbxstokes.plots.series import Panel, moves, panels
-from qbxstokes.plots.source import ResultLike, sampling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-from qbxstokes.plots.between import axis_path
 from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.source import ResultLike, instants, samples, vectors
+from qbxstokes.plots.dense_samples import axis_path
+from qbxstokes.plots.picture_source import ResultLike, instants, samples, vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-from qbxstokes.plots.source import ResultLike, samples, units
+from qbxstokes.plots.picture_source import ResultLike, samples, units
 from qbxstokes.quantities import MOTION
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.plots import style
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
 
 if TYPE_CHECKING:

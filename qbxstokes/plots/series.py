@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-from qbxstokes.plots.source import ResultLike, instants, samples, units
+from qbxstokes.plots.picture_source import ResultLike, instants, samples, units
 from qbxstokes.quantities import RECORDABLE, STRESS
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import numpy as np
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.plots.columns import CURVES, Columns, Rows, figure_of
-from qbxstokes.plots.source import ResultLike, resolved_case
+from qbxstokes.plots.picture_source import ResultLike, resolved_case
 from qbxstokes.plots.sphere import distribution_figure
 from qbxstokes.plots.statistics import averaged, histogram_figure
 

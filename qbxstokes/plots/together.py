@@ -15,7 +15,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.plots import style
 from qbxstokes.plots.bodies import outlines, wall_of
 from qbxstokes.plots.camera import Camera
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.plots.surfaces import colours, mesh
 
 if TYPE_CHECKING:

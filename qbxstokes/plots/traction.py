@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.instant import members_of, name_of, surfaces_of, view_of
-from qbxstokes.plots.source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,7 +21,7 @@ from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.quantities import COLUMNS, RECORDABLE, Quantity
 from qbxstokes.runs.gathering import Keeper
-from qbxstokes.runs.scenes import STOKES, Scenes
+from qbxstokes.runs.sweep_blocks import STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import Starts, orbit_ratio, simulation_of, start_quaternion

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.parallel import on_root
-from qbxstokes.runs.rows import RowTeam, with_team
+from qbxstokes.runs.shared_rows import RowTeam, with_team
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop

@@ -145,8 +145,8 @@ def compute_case(
     with Interruption() as interruption:
         with clock.part("import"):
             from qbxstokes.case.load import from_document
+            from qbxstokes.runs.destination import target_of
             from qbxstokes.runs.plan import plan_of
-            from qbxstokes.runs.target import target_of
         own: list[Any] = []
 
         def planned() -> Any:

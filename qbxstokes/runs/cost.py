@@ -26,11 +26,11 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
 from qbxstokes.runs.plan import MotionPlan, Plan
-from qbxstokes.runs.scenes import BLOCK_BYTES, STOKES, Scenes
+from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
-from qbxstokes.simulation.around import AroundBody
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.exact import exact_model
+from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.flow_around import AroundBody
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation

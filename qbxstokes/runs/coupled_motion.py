@@ -16,10 +16,10 @@ from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.motion import followed, recorded
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
-from qbxstokes.runs.rows import RowTeam, with_team
+from qbxstokes.runs.shared_rows import RowTeam, with_team
+from qbxstokes.simulation.coupled_assembly import Together, facts, meetings_summary
 from qbxstokes.simulation.from_bodies import coupled_of
 from qbxstokes.simulation.from_case import pointed
-from qbxstokes.simulation.together import Together, facts, meetings_summary
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job

@@ -13,7 +13,7 @@ from qbxstokes.errors import ConvergenceError
 from qbxstokes.quantities import COUPLED_COLUMNS, Quantity
 from qbxstokes.runs.coupled import computed
 from qbxstokes.runs.plan import CoupledPlan, plan_coupled
-from qbxstokes.runs.scenes import Alone
+from qbxstokes.runs.sweep_blocks import Alone
 
 if TYPE_CHECKING:
     from qbxstokes.runs.block import BlockResult

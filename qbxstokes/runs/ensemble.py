@@ -27,12 +27,12 @@ from qbxstokes.io.cache import open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import of_ensemble
+from qbxstokes.runs.destination import identity_of, result_path, working_folder
 from qbxstokes.runs.gathering import Gathering, notes, seconds_between
 from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
-from qbxstokes.runs.target import identity_of, result_path, working_folder
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added, turns_with_inertia
 from qbxstokes.simulation.ensemble_means import Found

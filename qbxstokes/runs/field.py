@@ -18,15 +18,15 @@ from qbxstokes.io.names import told_by
 from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import RECORDABLE, of_bodies
+from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
 from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
 from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
-from qbxstokes.runs.rows import ALONE, RowTeam
-from qbxstokes.runs.target import identity_of, working_folder
-from qbxstokes.simulation.around import Instant
+from qbxstokes.runs.shared_rows import ALONE, RowTeam
+from qbxstokes.simulation.flow_around import Instant
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job

@@ -12,7 +12,7 @@ from qbxstokes.case.field import FieldSection
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
 from qbxstokes.runs.field_targets import in_space
-from qbxstokes.simulation.around import AroundBody, Instant
+from qbxstokes.simulation.flow_around import AroundBody, Instant
 
 Array = NDArray[np.float64]
 

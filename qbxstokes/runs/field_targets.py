@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.from_case import end_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.tables import TableError, read_table

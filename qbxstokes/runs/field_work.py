@@ -27,8 +27,8 @@ from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, agree, on_root
-from qbxstokes.runs.rows import rows_by_all
-from qbxstokes.simulation.around import AroundBody, Instant
+from qbxstokes.runs.shared_rows import rows_by_all
+from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class FieldWork:
         self._interruption, self._key = job.interruption, key
         self.solution: Any
         if loaded.case.coupled:
-            from qbxstokes.simulation.among import AmongBodies
+            from qbxstokes.simulation.flow_among import AmongBodies
             from qbxstokes.simulation.from_bodies import coupled_of
 
             held = section.body == "held"

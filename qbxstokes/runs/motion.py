@@ -16,13 +16,13 @@ from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
-from qbxstokes.runs.rows import RowTeam, with_team
+from qbxstokes.runs.shared_rows import RowTeam, with_team
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
+from qbxstokes.simulation.event_watch import events_summary
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
 from qbxstokes.simulation.sampling import left_by_samples
-from qbxstokes.simulation.watch import events_summary
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job

@@ -20,10 +20,10 @@ from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, STRESS, TIME, Quantity
+from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
-from qbxstokes.runs.target import finished_result, identity_of, result_path
 from qbxstokes.simulation.compare import orbit_drift
-from qbxstokes.simulation.watch import split_columns
+from qbxstokes.simulation.event_watch import split_columns
 
 Array = NDArray[np.float64]
 

@@ -225,7 +225,7 @@ def describe_result(result: Result) -> str:
 
 
 def _sampling(result: Result) -> Rows:
-    from qbxstokes.plots.source import TURN_LIMIT, turn_between
+    from qbxstokes.plots.picture_source import TURN_LIMIT, turn_between
 
     turn = turn_between(result)
     if turn > 0.0:

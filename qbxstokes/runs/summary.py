@@ -13,6 +13,7 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
 from qbxstokes.quantities import BODY
+from qbxstokes.runs.destination import result_path
 from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
     ABOUT,
@@ -34,7 +35,6 @@ from qbxstokes.runs.report import (
     spent_text,
     vector,
 )
-from qbxstokes.runs.target import result_path
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages

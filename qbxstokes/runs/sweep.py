@@ -19,6 +19,7 @@ from qbxstokes.io.listing import unknown
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import load, shows_parts
 from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
+from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
@@ -26,7 +27,6 @@ from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import near_edge
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
-from qbxstokes.runs.target import finished_result, identity_of, result_path
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job

@@ -16,7 +16,7 @@ from qbxstokes.io.sweep import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
 from qbxstokes.runs.coupled_sweep import CoupledScenes
 from qbxstokes.runs.plan import plan_body
-from qbxstokes.runs.scenes import Alone, Scenes
+from qbxstokes.runs.sweep_blocks import Alone, Scenes
 
 Array = NDArray[Any]
 

@@ -25,7 +25,7 @@ from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.parallel import HandOut
 from qbxstokes.runs.progress import Clock, Progress
-from qbxstokes.runs.scenes import Scenes
+from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import body_of, pointed

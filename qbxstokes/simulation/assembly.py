@@ -20,11 +20,11 @@ from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
-from qbxstokes.simulation import given
+from qbxstokes.simulation import arguments as given
+from qbxstokes.simulation.event_watch import build_events
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
-from qbxstokes.simulation.watch import build_events
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow, LinearInTime
 from qbxstokes.flows.series import GradientSeries
-from qbxstokes.simulation import given
+from qbxstokes.simulation import arguments as given
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body

@@ -23,7 +23,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.equations import Constraints, Loads
-from qbxstokes.simulation.formed import FormedBody
+from qbxstokes.simulation.formed_body import FormedBody
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
 
@@ -78,7 +78,7 @@ class Body(FormedBody):
         position (..., 3); orientation: axes (..., 3) or quaternions (..., 4); they broadcast.
         force, torque (3,): from outside, in space; None: the body is free of them.
         """
-        from qbxstokes.simulation.placed import NOTHING, PlacedBody
+        from qbxstokes.simulation.placed_body import NOTHING, PlacedBody
 
         loads = force, torque
         return PlacedBody(self, flow, position, orientation, NOTHING, loads, t).velocities()
@@ -100,7 +100,7 @@ class Body(FormedBody):
         >>> np.round(force / np.pi, 9)
         array([6., 0., 0.])
         """
-        from qbxstokes.simulation.placed import NOTHING, PlacedBody
+        from qbxstokes.simulation.placed_body import NOTHING, PlacedBody
 
         motion = velocity, angular_velocity
         return PlacedBody(self, flow, position, orientation, motion, NOTHING, t).force_torque()
@@ -128,7 +128,7 @@ class Body(FormedBody):
         >>> np.round(np.diag(qs.Body(1.0).stresslet(strain)) * 3 / (20 * np.pi), 9) + 0.0
         array([ 1., -1.,  0.])
         """
-        from qbxstokes.simulation.placed import PlacedBody
+        from qbxstokes.simulation.placed_body import PlacedBody
 
         motion, loads = (velocity, angular_velocity), (force, torque)
         return PlacedBody(self, flow, position, orientation, motion, loads, t).stresslet()
@@ -226,7 +226,7 @@ class Body(FormedBody):
         >>> np.round(field["velocity"][:, 0], 9) + 0.0  # 1 - 3/(4 r) - 1/(4 r^3) beside a sphere
         array([0.59375, 0.     ])
         """
-        from qbxstokes.simulation.around import field_around
+        from qbxstokes.simulation.flow_around import field_around
 
         place, motion = (position, orientation), (velocity, angular_velocity)
         return field_around(self, flow, points, place, motion, what, tolerance, t)

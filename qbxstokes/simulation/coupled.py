@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import Placed, closest, names_of
+from qbxstokes.bie.multiple_scattering import Placed, closest, names_of
 from qbxstokes.case.running import Events as EventSettings
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.loads import LoadRows, Loads
-from qbxstokes.simulation.given import section
+from qbxstokes.simulation.arguments import section
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
 from qbxstokes.simulation.suspension import Suspension
 from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
-    from qbxstokes.simulation.over_wall import OverWall
+    from qbxstokes.simulation.coupled_assembly import CoupledMotion, Together
     from qbxstokes.simulation.repulsion import Repulsion
-    from qbxstokes.simulation.solved import Solution
-    from qbxstokes.simulation.together import CoupledMotion, Together
+    from qbxstokes.simulation.solved_instant import Solution
+    from qbxstokes.simulation.wall_table import OverWall
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class CoupledSimulation(Simulation):
         self._rows = None if loads is None else LoadRows(loads, len(members))
 
     def _table_of(self, body: Body) -> OverWall:
-        from qbxstokes.simulation.over_wall import OverWall
+        from qbxstokes.simulation.wall_table import OverWall
 
         wall = self.suspension.wall
         if wall is None or len(self.suspension) > 1:
@@ -174,7 +174,7 @@ class CoupledSimulation(Simulation):
 
     def assemble(self, *_: Any, **__: Any) -> Together:  # type: ignore[override]
         """The equations of the scene with their start."""
-        from qbxstokes.simulation.together import assemble
+        from qbxstokes.simulation.coupled_assembly import assemble
 
         return assemble(self)
 

@@ -21,6 +21,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
+from qbxstokes.simulation.arguments import section
 from qbxstokes.simulation.ensemble_means import (
     Found,
     mean_stresses,
@@ -28,7 +29,6 @@ from qbxstokes.simulation.ensemble_means import (
     standard_error,
     stress_columns,
 )
-from qbxstokes.simulation.given import section
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import particle_of
 

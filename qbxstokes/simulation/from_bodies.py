@@ -19,7 +19,7 @@ from qbxstokes.simulation.coupled import CoupledSimulation
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_quaternion
 from qbxstokes.simulation.repulsion import Repulsion
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.timed import timed
+from qbxstokes.simulation.time_vectors import timed
 from qbxstokes.simulation.wall import Wall
 
 Array = NDArray[np.float64]

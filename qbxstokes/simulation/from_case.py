@@ -20,7 +20,7 @@ from qbxstokes.motion.diagnostics import jeffery_period, orbit_axis
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.timed import timed
+from qbxstokes.simulation.time_vectors import timed
 
 Array = NDArray[np.float64]
 

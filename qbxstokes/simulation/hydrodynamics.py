@@ -193,7 +193,7 @@ def _fault_of_body(shape: Shape, degree: int, arrays: Mapping[str, Any]) -> str:
     Its numbers are those of the closed forms, where its shape has them, within many times the error
     that it states.
     """
-    from qbxstokes.simulation.exact import true_error
+    from qbxstokes.simulation.closed_forms import true_error
 
     try:
         body = AccurateBody.from_arrays(arrays)

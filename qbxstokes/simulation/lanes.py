@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.layout import Step
-from qbxstokes.simulation.watch import lane_contacts
+from qbxstokes.simulation.event_watch import lane_contacts
 
 if TYPE_CHECKING:
     from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory

@@ -13,8 +13,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
+from qbxstokes.simulation.closed_forms import true_error
 from qbxstokes.simulation.compare import Comparison
-from qbxstokes.simulation.exact import true_error
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.coupling import Placed, Plane, gaps_of
+from qbxstokes.bie.multiple_scattering import Placed, Plane, gaps_of
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.gaps import contact_point
 

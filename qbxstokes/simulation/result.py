@@ -16,8 +16,8 @@ from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
+from qbxstokes.simulation.event_watch import ending, events_summary, split_columns
 from qbxstokes.simulation.showing import shown
-from qbxstokes.simulation.watch import ending, events_summary, split_columns
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
@@ -110,7 +110,7 @@ class Motion:
         kind: orbit, rotation, constant, path, velocity, loads, overview, or a quantity's name, such
         as particle_stress.
         """
-        from qbxstokes.plots.choice import plot
+        from qbxstokes.plots.picture_choice import plot
 
         count = math.prod(self.position.shape[:-2])
         if not 0 <= lane < count:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.simulation.given import require_flow
+from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.showing import shown

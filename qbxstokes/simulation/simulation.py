@@ -22,8 +22,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.simulation.arguments import numbers, require, require_flow, section
 from qbxstokes.simulation.assembly import Assembled, assemble
-from qbxstokes.simulation.given import numbers, require, require_flow, section
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
 

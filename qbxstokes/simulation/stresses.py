@@ -30,7 +30,7 @@ from qbxstokes.simulation.hydrodynamics import (
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
-    from qbxstokes.simulation.formed import FormedBody
+    from qbxstokes.simulation.formed_body import FormedBody
 
 Array = NDArray[np.float64]
 

@@ -8,19 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import MOST_NODES, Coupled, Placed, Plane, choose_nodes, least_rate
+from qbxstokes.bie.multiple_scattering import (
+    MOST_NODES,
+    Coupled,
+    Placed,
+    Plane,
+    choose_nodes,
+    least_rate,
+)
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.resolved import flow_nodes_on, probed_nodes
+from qbxstokes.simulation.grid_choice import flow_nodes_on, probed_nodes
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.solved import Solution
+from qbxstokes.simulation.solved_instant import Solution
 from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
-    from qbxstokes.simulation.together import CoupledMotion
+    from qbxstokes.simulation.coupled_assembly import CoupledMotion
 
 Array = NDArray[np.float64]
 # Bodies above which the whole resistance is refused: six solves for each.
@@ -270,7 +277,7 @@ class Suspension:
         body or behind the wall, whose values are NaN. The bodies are free but for the loads of
         `free`; `among.FlowAmong` of a solution has surfaces with their tractions, too.
         """
-        from qbxstokes.simulation.among import FlowAmong
+        from qbxstokes.simulation.flow_among import FlowAmong
 
         found = FlowAmong(self.free(flow, position, orientation, **loads), flow, loads.get("t", 0))
         return found.evaluate(np.asarray(points, float).reshape(-1, 3), what)

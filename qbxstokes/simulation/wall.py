@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import Plane
+from qbxstokes.bie.multiple_scattering import Plane
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 

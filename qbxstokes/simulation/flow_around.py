@@ -26,12 +26,12 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import WHAT
 from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
-from qbxstokes.simulation.given import require_flow
+from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of, solver_factory
 from qbxstokes.simulation.simulation import places
 
 if TYPE_CHECKING:
-    from qbxstokes.simulation.formed import FormedBody
+    from qbxstokes.simulation.formed_body import FormedBody
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from qbxstokes.bie.coupling import MOST_NODES, Placed, closest, gaps_of, nodes_for, too_near
+from qbxstokes.bie.multiple_scattering import (
+    MOST_NODES,
+    Placed,
+    closest,
+    gaps_of,
+    nodes_for,
+    too_near,
+)
 from qbxstokes.bie.resolution import flow_nodes
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow

@@ -1,4 +1,4 @@
-"""The flow among several bodies, or around one by a wall: what `around` is for one body alone."""
+"""The flow among several bodies, or around one by a wall; `flow_around` is of one body alone."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.coupling import MOST_NODES
 from qbxstokes.bie.exterior import INSIDE, TABLE
 from qbxstokes.bie.field import USUAL, sizes
+from qbxstokes.bie.multiple_scattering import MOST_NODES
 from qbxstokes.flows import Flow
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.qbx.exterior import SURFACE_MARGIN
-from qbxstokes.simulation.around import Instant
+from qbxstokes.simulation.flow_around import Instant
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
-    from qbxstokes.simulation.solved import Solution
+    from qbxstokes.simulation.solved_instant import Solution
 
 Array = NDArray[np.float64]
 

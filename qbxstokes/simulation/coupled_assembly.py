@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.coupling import LEAST_NODES, MOST_NODES, closest, names_of
+from qbxstokes.bie.multiple_scattering import LEAST_NODES, MOST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, ConvergenceError, FlowError, SceneError
 from qbxstokes.geometry import rotation
@@ -22,9 +22,9 @@ from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.quantities import MOTION, of_event
-from qbxstokes.simulation import given
+from qbxstokes.simulation import arguments as given
+from qbxstokes.simulation.event_watch import split_columns
 from qbxstokes.simulation.result import Motion, integration_facts
-from qbxstokes.simulation.watch import split_columns
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation

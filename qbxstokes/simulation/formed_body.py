@@ -23,7 +23,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.registry import build_shape
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.equations import Inertia
-from qbxstokes.simulation.given import numbers
+from qbxstokes.simulation.arguments import numbers
 from qbxstokes.simulation.hydrodynamics import (
     Former,
     Hydrodynamic,
@@ -245,7 +245,7 @@ class FormedBody:
         >>> np.round(found["velocity"][0], 9) + 0.0, round(float(found["gradient"][0, 1, 0]), 9)
         (array([0.  , 0.25, 0.  ]), -0.25)
         """
-        from qbxstokes.simulation.around import exterior_field
+        from qbxstokes.simulation.flow_around import exterior_field
 
         return exterior_field(self, velocity, density, (force, torque), tolerance)
 

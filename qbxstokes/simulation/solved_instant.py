@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.bie.coupling import Coupled
+from qbxstokes.bie.multiple_scattering import Coupled
 
 Array = NDArray[np.float64]
 
@@ -57,8 +57,8 @@ class Solution:
     def error_estimate(self) -> dict[str, float]:
         """Estimated largest errors of velocity, angular_velocity, force, torque and stresslet.
 
-        Absolute, by what is `coarser` (`bie.coupling.estimated`); given parts of the motion or
-        loads have none.
+        Absolute, by what is `coarser` (`bie.multiple_scattering.estimated`); given parts of the
+        motion or loads have none.
         """
         problem, coarse = self.problem, self.coarser
         arm = max(body.size * body.shape.radius for body in problem.bodies)

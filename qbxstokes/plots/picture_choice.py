@@ -10,8 +10,8 @@ import numpy as np
 
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import ensemble, field, motion, rheology, style, sweep
+from qbxstokes.plots.picture_source import ResultLike, is_motion
 from qbxstokes.plots.series import draw_quantity, panels
-from qbxstokes.plots.source import ResultLike, is_motion
 from qbxstokes.quantities import RECORDABLE
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.plots.source import TURN_LIMIT
+from qbxstokes.plots.picture_source import TURN_LIMIT
 
 Array = NDArray[np.float64]
 
