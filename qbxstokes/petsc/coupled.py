@@ -1,7 +1,7 @@
 """The coupled problem of several bodies as a PETSc shell matrix, solved by GMRES.
 
 The one-body inverses are inside the matrix (`bie.multiple_scattering`), which is the identity plus
-a compact operator. Bodies are dealt to the ranks of a communicator; at each product the ranks gather
+a compact operator. Bodies are dealt to the ranks of a communicator; at each product they gather
 the coefficients of all bodies' exterior flows and each evaluates them on its own bodies.
 """
 

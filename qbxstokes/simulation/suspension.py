@@ -62,9 +62,8 @@ class Suspension:
         self.bodies = list(bodies)
         if not self.bodies:
             raise SceneError("bodies", "are none", "at least one")
-        for body in self.bodies:
-            if not isinstance(body.shape, Spheroid):
-                raise SceneError("bodies", f"hold a {body.shape}", "spheroids: gaps are theirs")
+        if other := [b.shape for b in self.bodies if not isinstance(b.shape, Spheroid)]:
+            raise SceneError("bodies", f"hold a {other[0]}", "spheroids: gaps are theirs")
         if surroundings is not None and not isinstance(surroundings, Wall):
             raise SceneError("surroundings", f"is {surroundings!r}", "None or a qs.Wall(...)")
         if not 1e-12 <= tolerance <= 0.1:
@@ -90,9 +89,8 @@ class Suspension:
         if x.shape != (n, 3):
             raise SceneError("position", f"has shape {x.shape}", f"shape {(n, 3)}: a centre each")
         if turn.ndim != 2 or len(turn) != n or turn.shape[1] not in (3, 4):
-            raise SceneError(
-                "orientation", f"has shape {turn.shape}", f"shape {(n, 3)} (axes) or {(n, 4)}"
-            )
+            right = f"shape {(n, 3)} (axes) or {(n, 4)}"
+            raise SceneError("orientation", f"has shape {turn.shape}", right)
         q = rotation.normalize(turn) if turn.shape[1] == 4 else rotation.from_axis(turn)
         return [
             Placed(body.shape, body.size, centre, matrix)
