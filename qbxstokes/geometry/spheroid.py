@@ -237,5 +237,6 @@ class Spheroid(Revolution):
         c = k * k - r2 - z2 * k * k
         root = np.sqrt(np.maximum(b * b - 4.0 * c, 0.0))
         # The larger root, without cancellation whatever the sign of b.
-        s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.where(b > 0.0, -2.0 * c / (b + root), 0.5 * (root - b))
         return np.asarray(np.maximum(s, 0.0))

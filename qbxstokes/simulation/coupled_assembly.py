@@ -182,6 +182,8 @@ class Together:
         watch = Meetings(self.equations, self.nearness, arm, normal, edges, turning)
         near = self.nearness(self.initial)
         if near.room <= 0.0:
+            if section.clearance is None:
+                raise SceneError("start", f"is too near: {near.reason}", "a wider gap")
             raise SceneError("events.clearance", f"is {section.clearance:g}", near.reason)
         return watch
 

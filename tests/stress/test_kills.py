@@ -10,6 +10,7 @@ of checkpoints, in seconds, for which what a kill loses is measured (default: 1;
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -120,9 +121,13 @@ def kill(job: subprocess.Popen[str], rng: random.Random) -> None:
     else:
         os.killpg(job.pid, signal.SIGKILL)
     job.wait(30)
-    for rank in members(job.pid):
-        os.kill(rank, signal.SIGKILL)
-    job.communicate(timeout=30)
+    for _ in range(30):  # a rank that was being started becomes Python a little later
+        for rank in members(job.pid):
+            os.kill(rank, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            job.communicate(timeout=1)
+            return
+    raise TimeoutError("the ranks of a job that was killed do not end")
 
 
 def contents(path: Path) -> dict[str, bytes]:
