@@ -120,7 +120,11 @@ def kill(job: subprocess.Popen[str], rng: random.Random) -> None:
         os.kill(rng.choice(ranks), signal.SIGKILL)
     else:
         os.killpg(job.pid, signal.SIGKILL)
-    job.wait(30)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        job.wait(10)
+    if job.poll() is None:  # a launcher may wait for ever for a rank that died before MPI began
+        os.killpg(job.pid, signal.SIGKILL)
+        job.wait(10)
     for _ in range(30):  # a rank that was being started becomes Python a little later
         for rank in members(job.pid):
             os.kill(rank, signal.SIGKILL)
