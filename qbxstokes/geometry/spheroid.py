@@ -211,9 +211,10 @@ class Spheroid(Revolution):
         sqrt(1 - q^2/cosh^2 t), and along b, of sqrt(q^2/cos^2 b - 1) beyond cos b = q (Liouville
         and Green's form of the associated Legendre functions).
         """
-        k, s = float(self.aspect_ratio), self._confocal(points)[..., None]
+        k = float(self.aspect_ratio)
         if k <= 1.0:
             return self.decay(points)
+        s = self._confocal(points)[..., None]
         q = np.linspace(0.0, 1.0 - 1e-6, 101)
         p, far = np.sqrt(1.0 - q * q), np.sqrt((1.0 + s) / (k * k - 1.0))
 
