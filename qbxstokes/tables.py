@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 
+HDF5 = ".h5", ".hdf5", ".nc", ".nc4"
+_TEXT = 2**30  # bytes of text that are read
 SEPARATORS = ";", "\t", ","
 
 
@@ -46,6 +48,7 @@ def read_table(path: str | Path, columns: int | None = None, *, words: bool = Fa
     columns: how many there have to be. words: entries may be other than numbers.
     """
     path = Path(path)
+    check_file(path)
     try:
         if path.suffix == ".npy":
             return _mapped(path, columns)
@@ -130,10 +133,20 @@ def fault(entry: str) -> str:
     return f"{shown!r} is no finite number"
 
 
+def check_file(path: Path) -> None:
+    """Raise TableError for what is there but no file, or too long to be read as text."""
+    if path.exists() and not path.is_file():  # reading might wait, or go on, for ever
+        raise TableError(f"{path}: is a folder, pipe or device; a file is expected")
+    if path.suffix not in (".npy", *HDF5) and path.is_file() and path.stat().st_size > _TEXT:
+        size = path.stat().st_size / 1e9
+        raise TableError(f"{path}: is {size:.1f} GB of text; a .npy file is mapped, not read")
+
+
 def read_datasets(path: str | Path) -> dict[str, NDArray[Any]]:
     """Finite numbers (N, ...) of all datasets of an HDF5 file, by name; raises TableError."""
     import h5py
 
+    check_file(Path(path))
     try:
         with h5py.File(path) as file:
             found = {name: np.asarray(file[name][()], dtype=np.float64) for name in file}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.series import GradientSeries
 from qbxstokes.tables import TableError, read_table
 
 
@@ -48,6 +51,17 @@ def test_faults_name_file_line_and_column(text: str, told: str, tmp_path: Path) 
     with pytest.raises(TableError, match=r"table\.csv") as caught:
         read_table(path, columns=2)
     assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["pipe", "pipe.npy", "folder", "/dev/zero"])
+def test_what_is_no_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    os.mkfifo(tmp_path / "pipe.npy")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(TableError, match="a file is expected"):
+        read_table(tmp_path / name)
+    with pytest.raises(FlowError, match="a file is expected"):
+        GradientSeries.from_file(tmp_path / name)
 
 
 def test_words_arrays_and_missing_files(tmp_path: Path) -> None:

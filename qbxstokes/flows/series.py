@@ -17,7 +17,7 @@ from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.samples import InFile, InRows, View
 from qbxstokes.flows.user import resolve_paths
 from qbxstokes.flows.values import SINGLE, Array, check_keys, number, whole
-from qbxstokes.tables import TableError, read_table
+from qbxstokes.tables import HDF5, TableError, check_file, read_table
 
 OUTSIDE = "error", "clamp", "repeat"
 TRACES = "project", "error"
@@ -229,7 +229,11 @@ def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> G
     rules = {name: given[name] for name in known[6:] if name in given}
     unit = number(given.get("unit", 1.0), "unit", positive=True)
     path = Path(str(given.get("file", "")))
-    if path.suffix in (".h5", ".hdf5", ".nc", ".nc4"):
+    try:
+        check_file(path)
+    except TableError as error:
+        raise FlowError(str(error), ("gradient", "file")) from None
+    if path.suffix in HDF5:
         read = _of_rows(path, given, trajectory) if "rows" in given else _of_hdf5(path, given)
         times, samples = read
         return GradientSeries(times / unit, samples.times(unit), **rules)
