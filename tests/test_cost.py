@@ -78,10 +78,14 @@ def test_what_a_block_will_take_is_told_within_a_factor_of_two(name: str, tmp_pa
     assert 0.5 < min(told) / min(spent) < 2.0, f"{told} s told, {spent} s spent"
 
 
-def test_fields_and_motions_are_told_what_they_take(run_cli: Run, tmp_path: Path) -> None:
+def test_single_runs_are_told_what_they_take(run_cli: Run, tmp_path: Path) -> None:
     base = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}}
     field = {"task": "field", "field": {"plane": {"shape": [200, 200]}}}
-    for more in (field, {"time": {"periods": 3}}):
+    wall = {"surroundings": {"type": "wall"}, "start": {"position": [0, 3, 0]}}
+    beside = {**wall, "time": {"end": 5, "tolerance": 1e-4}, "hydrodynamics": {"tolerance": 1e-4}}
+    suspension = {"task": "rheology", "rheology": {"peclet_number": [1, 10, 100]}}
+    random = {"task": "rheology", "rheology": {"peclet_number": [1], "langevin": {"strain": 5}}}
+    for more in (field, {"time": {"periods": 3}}, beside, suspension, random):
         (tmp_path / "case.yaml").write_text(json.dumps(base | more))
         facts = json.loads(run_cli("case.yaml", "--dry-run", "--json").stdout)
         assert 0.01 < facts["plan"]["seconds"] < 60.0

@@ -25,7 +25,7 @@ from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
-from qbxstokes.runs.plan import MotionPlan, Plan
+from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan, plan_coupled
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
@@ -50,6 +50,8 @@ LANES_OF_A_CALL = 50
 # (s); steps that tell how many are to come; samples and points that tell what each takes.
 BEGUN, BUDGET, LOOK = 4, 0.25, 0.03
 TELLING, SAMPLED, POINTS = 60, 50, 2000
+# The same of motions of several bodies (s), and random axes of a suspension that are followed.
+COUPLED_BUDGET, AXES = 1.0, 256
 
 
 @dataclass(frozen=True)
@@ -210,10 +212,53 @@ def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
     return seconds
 
 
+def coupled_seconds(plan: MotionPlan) -> float:
+    """What a motion of several bodies, or of one by a wall, takes after the start."""
+    begin, scene = time.process_time(), plan.simulation
+    assembled: Any = scene.assemble()
+    watch = assembled.watch()
+    watch.begin(0.0, assembled.initial)
+    first = time.process_time()  # maps of the bodies have been made, and are there for the rest
+    trajectory = assembled.trajectory(
+        plan.times,
+        observe=watch,
+        interrupted=lambda: time.process_time() > first + COUPLED_BUDGET,
+        chunk_steps=1,
+    )
+    steps, share = time.process_time(), trajectory.reached / float(plan.times[-1])
+    assembled.fluid.estimate(0.0, assembled.initial)  # at both ends
+    return first - begin + (steps - first) / max(share, 1e-6) + 2.0 * (time.process_time() - steps)
+
+
+def suspension_seconds(loaded: LoadedCase, plan: Plan) -> float:
+    """What `task: rheology` takes after the start, from some of its Peclet numbers, or axes."""
+    from qbxstokes.runs.rheology import suspension_of
+
+    section, workshop = loaded.case.rheology, Workshop()
+    assert section is not None
+    numbers, random = list(section.peclet_number), section.langevin
+
+    def spent(some: list[float], axes: int) -> float:
+        begin = time.process_time()
+        suspension_of(loaded, plan.simulation, workshop, {"trajectories": axes, "paths": 0}, some)
+        return time.process_time() - begin
+
+    spent(numbers[:1], AXES)  # forms the body, loads kernels or compiles them
+    one = spent(numbers[:1], AXES)
+    if random is not None:
+        each = (spent(numbers[:1], 2 * AXES) - one) / AXES
+        return MODEL + len(numbers) * (one + max(each, 0.0) * (random.trajectories - AXES))
+    some = numbers[:: max(1, len(numbers) // 3)]
+    each = (spent(some, AXES) - one) / max(len(some) - 1, 1)
+    return MODEL + one + max(each, 0.0) * (len(numbers) - 1)
+
+
 def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
     """What a single run takes, None for tasks of which that is not told."""
     if loaded.case.coupled:
-        return None
+        return coupled_seconds(plan) if isinstance(plan, MotionPlan) else None
+    if loaded.case.task == "rheology":
+        return suspension_seconds(loaded, plan)
     if isinstance(plan, MotionPlan):
         return motion_seconds(plan)
     return field_seconds(loaded, plan) if loaded.case.task == "field" else None
@@ -222,7 +267,9 @@ def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
 def block_seconds(scenes: Swept) -> Array:
     """Integration time of every block, carried over from a few that are begun."""
     if not isinstance(scenes, Scenes):
-        return np.full(scenes.blocks, scenes.turns * MODEL)
+        first = plan_coupled(scenes.loaded) if scenes.loaded.case.coupled else None
+        each = coupled_seconds(first) if isinstance(first, CoupledPlan) else MODEL
+        return np.full(scenes.blocks, scenes.turns * each)
     weight = block_weights(scenes)
     numbers, rates = [], []
     for number in np.unique(np.linspace(0, scenes.blocks - 1, BEGUN).astype(int)).tolist():

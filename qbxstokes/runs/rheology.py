@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from qbxstokes.runs.shared_rows import RowTeam, with_team
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology
+from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.suspension.langevin import FUNCTIONS, Ensemble, Sums
 from qbxstokes.tables import TableError, read_table
 
@@ -75,24 +76,7 @@ def _computed(
     with clock.part("set-up"), _pointed(loaded):
         formed = scene.body.hydrodynamics_in(scene.flow, scene.need(pushed=True), workshop)
     with clock.part("suspension"), _pointed(loaded):
-        axes, weights = orientations_of(loaded)
-        common: dict[str, Any] = {
-            "protocol": section.protocol,
-            "times": section.times,
-            "amplitude": section.amplitude,
-            "frequency": section.frequency,
-            "orientations": axes,
-            "position": scene.position[0],
-            "workshop": workshop,
-        }
-        found: Rheology | BrownianAverages
-        numbers, random = list(section.peclet_number), section.langevin
-        if random is not None:
-            keys = {**vars(random), "averaging": averaging}
-            found = langevin(scene.body, scene.flow, numbers, **common, **keys)
-        else:
-            keys = {"settling": section.settling, "tolerance": section.tolerance}
-            found = rheology(scene.body, scene.flow, numbers, weights=weights, **common, **keys)
+        found = suspension_of(loaded, scene, workshop, {"averaging": averaging})
     errors, references = {}, {}
     shape = scene.body.shape
     if case.compare.reference != "none" and isinstance(shape, Spheroid):
@@ -117,6 +101,36 @@ def _computed(
     if section.tables and "distribution" in arrays:
         summary["files"] = _write_tables(Path(summary["result"]), arrays)
     return summary
+
+
+def suspension_of(
+    loaded: LoadedCase,
+    scene: Simulation,
+    workshop: Workshop,
+    random: Mapping[str, Any],
+    numbers: Sequence[float] | None = None,
+) -> Rheology | BrownianAverages:
+    """The suspension of a case, at its Peclet numbers or others.
+
+    random: arguments of `langevin` beside or in the place of the case's.
+    """
+    section = loaded.case.rheology
+    assert section is not None
+    axes, weights = orientations_of(loaded)
+    common: dict[str, Any] = {
+        "peclet_number": list(section.peclet_number if numbers is None else numbers),
+        "protocol": section.protocol,
+        "times": section.times,
+        "amplitude": section.amplitude,
+        "frequency": section.frequency,
+        "orientations": axes,
+        "position": scene.position[0],
+        "workshop": workshop,
+    }
+    if section.langevin is not None:
+        return langevin(scene.body, scene.flow, **common, **{**vars(section.langevin), **random})
+    common |= {"settling": section.settling, "tolerance": section.tolerance}
+    return rheology(scene.body, scene.flow, weights=weights, **common)
 
 
 def _write_tables(result: Path, arrays: dict[str, Array]) -> list[str]:
