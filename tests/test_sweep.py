@@ -27,7 +27,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.io import store
 from qbxstokes.io.names import parts_of
 from qbxstokes.io.store import holds_work, read_part
-from qbxstokes.io.sweep import runs
+from qbxstokes.io.sweep_result import runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.quantities import MOTION
 from qbxstokes.reference import inertial, jeffery

@@ -17,7 +17,7 @@ from conftest import Run
 import qbxstokes as qs
 from qbxstokes.errors import ConvergenceError, ResultFileError
 from qbxstokes.io.names import parts_of
-from qbxstokes.io.sweep import _even, _slices
+from qbxstokes.io.sweep_result import _even, _slices
 
 CASE: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import column_name
 from qbxstokes.case.values import Key
-from qbxstokes.io.sweep import REASON_LENGTH, Layout
+from qbxstokes.io.sweep_result import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
 from qbxstokes.runs.coupled_sweep import CoupledScenes
 from qbxstokes.runs.plan import plan_body

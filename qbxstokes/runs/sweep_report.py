@@ -9,7 +9,7 @@ from typing import Any
 from qbxstokes.case.sweep import column_name
 from qbxstokes.io.names import parts_of
 from qbxstokes.io.results import SweepResult, load
-from qbxstokes.io.sweep import Layout
+from qbxstokes.io.sweep_result import Layout
 from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate
 from qbxstokes.runs.coupled_report import around

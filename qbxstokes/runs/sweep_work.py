@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.io.cache import SharedCache, open_cache
 from qbxstokes.io.store import Work
-from qbxstokes.io.sweep import DONE, FAILED, REASON_LENGTH, Layout
+from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.runs import block
 from qbxstokes.runs.gathering import Gathering, Keeper, notes
 from qbxstokes.runs.interrupt import Interruption, interrupted
