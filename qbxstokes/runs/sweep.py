@@ -14,7 +14,7 @@ import numpy as np
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
-from qbxstokes.io import sweep as store
+from qbxstokes.io import sweep_result as store
 from qbxstokes.io.listing import unknown
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import load, shows_parts
