@@ -134,6 +134,8 @@ class FlowAround:
         """
         blocks = range(0, max(len(points), 1), _BLOCK)
         parts = [self._block(points[b : b + _BLOCK], what, tolerance, method) for b in blocks]
+        if len(parts) == 1:
+            return parts[0]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def _block(
