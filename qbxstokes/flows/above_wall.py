@@ -12,14 +12,14 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.differences import gradient_of, laplacian_of
 from qbxstokes.flows.domain import Domain, Plane
-from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.values import Array, check_keys
 
 _UP = np.array([0.0, 1.0, 0.0])
 _MIRROR = np.array([1.0, -1.0, 1.0])
 
 
-class AboveWall(Flow):
+class AboveWall(Transformable):
     """Any flow that is regular below x2 = 0, held at rest on that plane by its images.
 
     With ^ for the value at the mirrored point, h = x2 and J = diag(1, -1, 1), Lorentz's reflection
@@ -120,15 +120,3 @@ class AboveWall(Flow):
     def spec(self) -> dict[str, Any]:
         """Specification with that of the flow."""
         return {"type": self.type_name, "flow": self.flow.spec()}
-
-    def shifted(self, displacement: ArrayLike) -> Flow:
-        """The flow with its wall moved."""
-        return TransformedFlow(self).shifted(displacement)
-
-    def rotated(self, rotation: ArrayLike) -> Flow:
-        """The flow with its wall turned."""
-        return TransformedFlow(self).rotated(rotation)
-
-    def scaled(self, factor: float) -> Flow:
-        """The flow times a number."""
-        return TransformedFlow(self).scaled(factor)

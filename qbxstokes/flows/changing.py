@@ -16,7 +16,7 @@ from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.series import GradientSeries, series_of_file
-from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.user import load_function
 from qbxstokes.flows.values import (
     DOUBLE,
@@ -33,7 +33,7 @@ from qbxstokes.flows.values import (
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
 
 
-class LinearInTime(Flow):
+class LinearInTime(Transformable):
     """u = A(t) x with a traceless gradient that changes in time.
 
     gradient: a function of t that returns (3, 3), three rows of numbers and expressions in t, or a
@@ -170,10 +170,6 @@ class LinearInTime(Flow):
     def spec(self) -> dict[str, Any]:
         """The specification, where it can be written down."""
         return self._spec or {"type": self.type_name, "gradient": self._gradient}
-
-    def shifted(self, displacement: ArrayLike) -> Flow:
-        """The flow moved."""
-        return TransformedFlow(self).shifted(displacement)
 
     def rotated(self, rotation: ArrayLike) -> Flow:
         """The flow turned: A becomes R A R^T."""

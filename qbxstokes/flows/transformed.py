@@ -138,3 +138,19 @@ class TransformedFlow(Flow):
     def scaled(self, factor: float) -> TransformedFlow:
         """The flow times a further number."""
         return TransformedFlow(self.flow, self.rotation, self.position, self.factor * factor)
+
+
+class Transformable(Flow):
+    """A flow with no closed form of what it becomes moved, turned or scaled."""
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The flow moved."""
+        return TransformedFlow(self).shifted(displacement)
+
+    def rotated(self, rotation: ArrayLike) -> Flow:
+        """The flow turned about the space origin."""
+        return TransformedFlow(self).rotated(rotation)
+
+    def scaled(self, factor: float) -> Flow:
+        """The flow times a number."""
+        return TransformedFlow(self).scaled(factor)

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, FlowFunctionError
-from qbxstokes.flows.base import Flow, curl
+from qbxstokes.flows.base import curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
-from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.values import Array, instants, number, tensor
 
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
@@ -37,7 +37,7 @@ _handed: WeakValueDictionary[str, Any] = WeakValueDictionary()
 _kept: dict[str, Any] = {}  # what Python cannot refer to weakly, such as a function written in C
 
 
-class UserFlow(Flow):
+class UserFlow(Transformable):
     """u(x) = function(x) or function(x, t), with x an array (n, 3) and the result of that shape.
 
     Derivatives are extrapolated central differences (`qbxstokes.flows.differences`) with steps up
@@ -238,18 +238,6 @@ class UserFlow(Flow):
             **{name: self._given[name] for name in self._given},
             **({"breaks": self._breaks.tolist()} if len(self._breaks) else {}),
         }
-
-    def shifted(self, displacement: ArrayLike) -> Flow:
-        """The flow moved."""
-        return TransformedFlow(self).shifted(displacement)
-
-    def rotated(self, rotation: ArrayLike) -> Flow:
-        """The flow turned about the space origin."""
-        return TransformedFlow(self).rotated(rotation)
-
-    def scaled(self, factor: float) -> Flow:
-        """The flow times a number."""
-        return TransformedFlow(self).scaled(factor)
 
 
 def _name_of(function: Callable[..., Any]) -> str:

@@ -21,7 +21,7 @@ from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.event_watch import build_events
+from qbxstokes.simulation.event_watch import build_events, watched
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -234,13 +234,7 @@ class Assembled:
                 raise ConvergenceError(trajectory.failure or trajectory.refusal)
             whole = replace(trajectory, times=instants, states=run.states)
             return Motion.of(self, whole, None, run)
-        watch = self.watch()
-        watch.begin(0.0, self.initial)
-        trajectory = self.trajectory(instants, observe=watch)
-        if trajectory.failure:
-            raise ConvergenceError(trajectory.failure)
-        if trajectory.refusal:
-            watch.ended = ("clearance", trajectory.refusal)
+        trajectory, watch = watched(self, instants)
         return Motion.of(self, trajectory, watch)
 
 

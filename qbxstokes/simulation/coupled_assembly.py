@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.multiple_scattering import LEAST_NODES, MOST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
-from qbxstokes.errors import ContactError, ConvergenceError, FlowError, SceneError
+from qbxstokes.errors import ContactError, FlowError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
@@ -23,7 +23,7 @@ from qbxstokes.motion.observables import observe
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.event_watch import split_columns
+from qbxstokes.simulation.event_watch import split_columns, watched
 from qbxstokes.simulation.result import Motion, integration_facts
 
 if TYPE_CHECKING:
@@ -230,13 +230,7 @@ class Together:
     def motion(self, times: ArrayLike) -> CoupledMotion:
         """The motion sampled at times (T,)."""
         instants = given.instants(times)
-        watch = self.watch()
-        watch.begin(0.0, self.initial)
-        trajectory = self.trajectory(instants, observe=watch)
-        if trajectory.failure:
-            raise ConvergenceError(trajectory.failure)
-        if trajectory.refusal:
-            watch.ended = ("clearance", trajectory.refusal)
+        trajectory, watch = watched(self, instants)
         self.estimate(trajectory, watch)
         return CoupledMotion.together(self, trajectory, watch)
 

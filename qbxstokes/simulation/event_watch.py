@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import SceneError
+from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
@@ -21,6 +21,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _CLEARANCE = 0.05
+
+
+def watched(assembled: Any, instants: Array) -> tuple[Any, Any]:
+    """The trajectory of what is assembled, and the watch over it; raises ConvergenceError."""
+    watch = assembled.watch()
+    watch.begin(0.0, assembled.initial)
+    trajectory = assembled.trajectory(instants, observe=watch)
+    if trajectory.failure:
+        raise ConvergenceError(trajectory.failure)
+    if trajectory.refusal:
+        watch.ended = ("clearance", trajectory.refusal)
+    return trajectory, watch
 
 
 def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Array) -> Events:
