@@ -8,7 +8,7 @@ disturbance D[psi] + V is an `ExteriorField`, held in the body frame.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -132,11 +132,7 @@ class FlowAround:
         Arrays, tolerance, method and source as in `ExteriorField.evaluate`, in the space frame.
         Works block by block, so that memory beyond the result stays bounded.
         """
-        blocks = range(0, max(len(points), 1), _BLOCK)
-        parts = [self._block(points[b : b + _BLOCK], what, tolerance, method) for b in blocks]
-        if len(parts) == 1:
-            return parts[0]
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return in_blocks(points, _BLOCK, lambda some: self._block(some, what, tolerance, method))
 
     def _block(
         self, x: Array, what: Collection[str], tolerance: float, method: Method
@@ -175,15 +171,8 @@ class FlowAround:
         normals = shape.normal(theta[:, None], phi) @ self.rotation.T
         points = body @ self.rotation.T + self.position
         # A hair outside, so that rounding does not put the points inside the body.
-        values = self.evaluate(points.reshape(-1, 3), ("pressure", "stress"))
-        stress = symmetric(values["stress"]).reshape(*points.shape, 3)
-        return {
-            "points": points,
-            "normals": normals,
-            "traction": np.einsum("...ij,...j->...i", stress, normals),
-            "pressure": values["pressure"].reshape(points.shape[:-1]),
-            "velocity": self.disturbance.rigid(body) @ self.rotation.T,
-        }
+        held = on_surface(self.evaluate, points, normals, points)
+        return held | {"velocity": self.disturbance.rigid(body) @ self.rotation.T}
 
     def relative_velocity(self, body_points: Array) -> Array:
         """Velocity (N, 3) relative to the body at points of the body frame, in the body frame.
@@ -195,6 +184,37 @@ class FlowAround:
         space = body_points @ self.rotation.T + self.position
         background = self.flow.velocity(space, self.time) @ self.rotation
         return np.asarray(u + background - self.disturbance.rigid(body_points))
+
+
+def in_blocks(
+    points: Array, size: int, evaluate: Callable[[Array], dict[str, NDArray[Any]]]
+) -> dict[str, NDArray[Any]]:
+    """What `evaluate` makes of points (N, 3), `size` of them at a time."""
+    blocks = range(0, max(len(points), 1), size)
+    parts = [evaluate(points[begin : begin + size]) for begin in blocks]
+    if len(parts) == 1:
+        return parts[0]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def on_surface(
+    evaluate: Callable[[Array, Collection[str]], dict[str, NDArray[Any]]],
+    points: Array,
+    normals: Array,
+    outside: Array,
+) -> dict[str, Array]:
+    """Points and normals (n_theta, n_phi, 3) of a surface with its traction and pressure.
+
+    outside: where the flow is looked at instead of the points.
+    """
+    values = evaluate(outside.reshape(-1, 3), ("pressure", "stress"))
+    stress = symmetric(values["stress"]).reshape(*points.shape, 3)
+    return {
+        "points": points,
+        "normals": normals,
+        "traction": np.einsum("...ij,...j->...i", stress, normals),
+        "pressure": values["pressure"].reshape(points.shape[:-1]),
+    }
 
 
 def sizes(speed: float, length: float) -> dict[str, float]:

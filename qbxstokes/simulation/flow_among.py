@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import INSIDE, TABLE
-from qbxstokes.bie.field import USUAL, sizes
+from qbxstokes.bie.field import USUAL, in_blocks, on_surface, sizes
 from qbxstokes.bie.multiple_scattering import MOST_NODES
 from qbxstokes.flows import Flow
 from qbxstokes.geometry.symmetric import components, symmetric
@@ -71,11 +71,7 @@ class FlowAmong:
         `scale`. method: harmonics, whatever it says.
         """
         tolerance = 0.1 * tolerance * self.scale if tolerance else 0.0
-        parts = [
-            self._block(points[begin : begin + _BLOCK], what, tolerance)
-            for begin in range(0, max(len(points), 1), _BLOCK)
-        ]
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return in_blocks(points, _BLOCK, lambda some: self._block(some, what, tolerance))
 
     def _block(
         self, points: Array, what: Collection[str], tolerance: float
@@ -160,17 +156,9 @@ class FlowAmong:
         arms = body.size * body.shape.surface(theta[:, None], phi) @ body.rotation.T
         normals = body.shape.normal(theta[:, None], phi) @ body.rotation.T
         points = arms + body.position
-        outside = (points + _HAIR * arms).reshape(-1, 3)
-        values = self.evaluate(outside, ("pressure", "stress"))
-        stress = symmetric(values["stress"]).reshape(*points.shape, 3)
-        return {
-            "points": points,
-            "normals": normals,
-            "traction": np.einsum("...ij,...j->...i", stress, normals),
-            "pressure": values["pressure"].reshape(points.shape[:-1]),
-            "velocity": self.solution.velocity[b]
-            + np.cross(self.solution.angular_velocity[b], arms),
-        }
+        held = on_surface(self.evaluate, points, normals, points + _HAIR * arms)
+        spin = np.cross(self.solution.angular_velocity[b], arms)
+        return held | {"velocity": self.solution.velocity[b] + spin}
 
     def _wall(self, first: int, second: int) -> dict[str, Array]:
         """A square of the wall below the bodies, with what the fluid exerts on it."""
