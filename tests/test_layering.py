@@ -1,8 +1,8 @@
 """The map of the house: imports go down only, in no circles, each outside library in one place.
 
 The packages are ordered in levels. A module imports from its own package and from lower levels;
-packages on one level do not know each other. All may import `errors`, `tables`, `expressions` and
-the version. Within a package too no module needs, through any others, itself.
+packages on one level do not know each other. All may import `errors`, `tables`, `typing` and
+the like. Within a package too no module needs, through any others, itself.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEVELS = (
 )
 LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
 MATHEMATICS = [name for names in LEVELS[:4] for name in sorted(names)]
-SHARED = ("errors", "folders", "tables", "expressions", "__version__")
+SHARED = ("errors", "folders", "tables", "expressions", "typing", "__version__")
 
 # Libraries that only some packages may import, wherever in the file the import stands.
 HOMES = {

@@ -20,7 +20,6 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import BodyModel, ErrorParts, ModalFunctional
 from qbxstokes.bie.operators import (
@@ -45,8 +44,7 @@ from qbxstokes.qbx.operator import (
     independent_rows,
     layer_rows,
 )
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # log10 of the quadrature error of inner expansions (order 8, radius factor 0.3, panel ratio 0.7) is
 # at most LOSS - GAIN * panel_order over 1/50 <= k <= 50; scanned in steps of 2 from 6 to 12.

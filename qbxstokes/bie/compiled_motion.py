@@ -11,11 +11,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.providers import MonitoredGridMotion
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
 

@@ -24,8 +24,8 @@ from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import WHAT, ExteriorFlow, SurfaceToExterior
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Velocity = Callable[[Array], Array]
 Method = Literal["auto", "table", "quadrature"]
 

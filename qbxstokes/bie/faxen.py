@@ -7,11 +7,10 @@ from functools import cache
 from itertools import combinations_with_replacement, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import FaxenCoefficients, ModalFunctional
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 LEVI_CIVITA: Array = np.zeros((3, 3, 3))
 for _i, _j, _k in permutations(range(3)):
     LEVI_CIVITA[_i, _j, _k] = np.linalg.det(np.eye(3)[[_i, _j, _k]])

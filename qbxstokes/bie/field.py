@@ -25,8 +25,7 @@ from qbxstokes.bie.exterior import (
 )
 from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
 from qbxstokes.geometry.symmetric import components, symmetric, turned
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # What `FlowAround.evaluate` gives if nothing else is asked for.
 USUAL = ("velocity", "disturbance_velocity", "pressure", "stress")

@@ -15,15 +15,13 @@ from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.rigid import RigidMode
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.registry import build_shape
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import BodyModel, GridFunctional, ModalFunctional
 from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.bie.stresslet import STRAINS, Stresslet
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 _AXIS: Array = np.array([0.0, 0.0, 1.0])
 # e_a (5, 3, 3): symmetric, traceless, orthonormal; axial, twice oblique, twice across the axis.
 STRAIN_BASIS: Array = STRAINS / np.linalg.norm(STRAINS, axis=(1, 2))[:, None, None]

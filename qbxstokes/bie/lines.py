@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import ExteriorField
 from qbxstokes.bie.field import FlowAround, FlowField
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Shape
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Velocity = Callable[[float, Array], Array]
 
 Axes = tuple[float, float, float]

@@ -10,11 +10,9 @@ its spectrum [-8 pi, 0]).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.rigid import RigidMode
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def mobility_blocks(double: Array, rigid: dict[str, RigidMode]) -> Array:

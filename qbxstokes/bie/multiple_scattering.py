@@ -29,7 +29,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.errors import ContactError
@@ -37,9 +36,8 @@ from qbxstokes.geometry import gaps
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.confocal import Table
 from qbxstokes.qbx.exterior import ExteriorFlow
+from qbxstokes.typing import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Coefficients = Sequence[ComplexArray]
 
 # Measured error with n polar nodes: C exp(-2 a n) with the rate a of the gap, see `factor`. Discs

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.faxen import faxen_coefficients
 from qbxstokes.bie.functional import (
@@ -30,8 +29,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, to_modes
 from qbxstokes.qbx.operator import Scheme, blocks_from_rows, independent_rows, layer_rows
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 class Solver(Protocol):

@@ -14,16 +14,13 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
 from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, motion_change
 from qbxstokes.errors import FlowError
 from qbxstokes.geometry.rotation import matrix, multiply
-
-Array = NDArray[np.float64]
-
+from qbxstokes.typing import Array
 
 # A third of a turn about (1, 1, 1) and back: each axis comes to lie along the others.
 _TURNS = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5]])

@@ -12,12 +12,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.rigid import RigidMode
 from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Completion = Literal["surface", "point"]
 
 

@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import ModalFunctional
 from qbxstokes.errors import FlowError
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Polar nodes that hold the density of a polynomial flow of degree <= 3, with two to show its decay.
 POLYNOMIAL_NODES = 6

@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from qbxstokes.typing import Array
 
 
 @dataclass(frozen=True)

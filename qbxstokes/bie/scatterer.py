@@ -12,14 +12,11 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import SurfaceToExterior
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from qbxstokes.typing import Array, ComplexArray
 
 
 class Scatterer(SurfaceToExterior):

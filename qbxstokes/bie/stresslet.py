@@ -23,7 +23,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import (
     ROUNDING_FLOOR,
@@ -50,8 +49,7 @@ from qbxstokes.qbx.operator import (
     independent_rows,
     layer_rows,
 )
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Azimuthal nodes that hold the modes 0, 1 and 2 with none at half their number.
 N_PHI = 5

@@ -7,11 +7,10 @@ from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 PolarNodes = Literal["cosine", "theta"]
 
 

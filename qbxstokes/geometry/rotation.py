@@ -8,9 +8,9 @@ D1, D2, D3 seen in space. All functions broadcast over leading axes.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Below this sine of the half angle from a pole only phi + psi (or phi - psi) has meaning.
 _POLE = 4.0 * float(np.finfo(np.float64).eps)

@@ -13,9 +13,10 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
+
 Symmetry = Literal["sphere", "fore-aft revolution", "revolution", "three planes"]
 
 # Nodes of quadrature over a meridian, and samples among which the nearest one is searched for.

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.shape import MOST_BALLS, Revolution, Symmetry
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 @dataclass(frozen=True)

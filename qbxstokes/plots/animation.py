@@ -13,7 +13,6 @@ from subprocess import CalledProcessError
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
@@ -27,13 +26,13 @@ from qbxstokes.plots.picture_source import ResultLike, instants, samples, shape_
 from qbxstokes.plots.series import moves
 from qbxstokes.plots.surfaces import SHADES, colours, lit, mesh
 from qbxstokes.plots.together import SceneView, one_of
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 FORMATS = ("gif", "mp4")
 FRAMES_PER_TURN = 48

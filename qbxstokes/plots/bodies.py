@@ -10,7 +10,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
@@ -19,12 +18,12 @@ from qbxstokes.plots.path import plane_of_motion
 from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, units
 from qbxstokes.plots.series import draw_lines
 from qbxstokes.quantities import MOTION
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _NOISE = 1e-10  # of the largest component: nothing but rounding
 _MANY = 7  # bodies that are told apart by name

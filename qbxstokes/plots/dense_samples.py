@@ -7,11 +7,9 @@ the distance of the samples; orientations are put back on their unit sphere.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots.picture_source import TURN_LIMIT
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def between(times: Array, values: Array, rates: Array | None, at: Array) -> Array:

@@ -8,19 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.bodies import draw_wall
 from qbxstokes.plots.instant import directions, members_of, name_of, state, surfaces_of
 from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.plots.traction import traction_figure
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
 _SHEET = 9  # panels of a sheet of instants at most

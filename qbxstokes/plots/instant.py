@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.plots.bodies import coupled, outlines
 from qbxstokes.plots.picture_source import ResultLike, shape_of
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def name_of(plane: Mapping[str, Any], which: str) -> str:

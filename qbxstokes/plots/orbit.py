@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.dense_samples import axis_path
 from qbxstokes.plots.picture_source import ResultLike, instants, samples, vectors
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _REACH = 1.32  # how far the coordinate axes stick out of the sphere
 _CLOSED = 0.05  # an orbit that keeps within this of itself is drawn in one colour

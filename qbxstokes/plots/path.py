@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike, samples, units
 from qbxstokes.quantities import MOTION
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 _TRUE_SCALE = 6.0  # paths longer than this many times their width are stretched across
 

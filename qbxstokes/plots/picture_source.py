@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 TURN_LIMIT = 1.0  # radians between samples, beyond which a picture need not resemble the motion
 
 

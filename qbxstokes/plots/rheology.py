@@ -6,18 +6,17 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _FUNCTIONS = (
     "intrinsic_viscosity",

@@ -10,16 +10,15 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike, instants, samples, units
 from qbxstokes.quantities import RECORDABLE, STRESS
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 Panel = Callable[["Axes"], None]
 
 _APART = 20.0  # components whose sizes differ by more than this do not share a panel

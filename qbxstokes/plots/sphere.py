@@ -13,15 +13,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _DOTS = 400  # fewer axes than this are drawn one by one
 _PER_CELL = 25.0  # axes in a cell, on average

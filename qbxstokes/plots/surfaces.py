@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 SHADES = ("#3f8fc0", "#d8e6ef")
 _SECTORS = 4  # of longitude, in two shades, so that the turning about the axis is seen

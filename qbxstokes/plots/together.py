@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.plots import style
@@ -17,13 +16,13 @@ from qbxstokes.plots.bodies import outlines, wall_of
 from qbxstokes.plots.camera import Camera
 from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.plots.surfaces import colours, mesh
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from qbxstokes.plots.animation import Frames
 
-Array = NDArray[np.float64]
 
 # Ways longer than so many radii of the group are followed by the camera.
 _FAR = 4.0

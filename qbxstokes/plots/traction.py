@@ -6,16 +6,15 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.instant import members_of, name_of, surfaces_of, view_of
 from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Arrows of the traction: distance between them over the half width of the picture, and the least
 # length over the longest.

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.geometry.symmetric import PLACES
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from qbxstokes.typing import Array, ComplexArray
 
 
 @dataclass(frozen=True)

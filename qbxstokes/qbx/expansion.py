@@ -23,10 +23,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from qbxstokes.typing import Array, ComplexArray
 
 
 def count(order: int) -> int:

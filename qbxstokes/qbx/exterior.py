@@ -18,13 +18,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
-from qbxstokes.qbx.confocal import ComplexArray, Harmonics
+from qbxstokes.qbx.confocal import Harmonics
 from qbxstokes.qbx.modes import to_modes
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, ComplexArray
 
 # What a Stokes flow is asked for at points, and the shape of it at each: d u_i / d x_j is
 # gradient[i, j], stress the components xx, yy, zz, xy, xz, yz.

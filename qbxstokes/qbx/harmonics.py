@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.qbx.expansion import expanded_kernels
 from qbxstokes.qbx.kernel import Centre
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def from_coefficients(

@@ -24,12 +24,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.qbx.panels import Integers, Rule
-
-Array = NDArray[np.float64]
+from qbxstokes.qbx.panels import Rule
+from qbxstokes.typing import Array, Integers
 
 # Sources taken together at most: few enough for their arrays to stay in the processor's cache.
 _CHUNK = 4096

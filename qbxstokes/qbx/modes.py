@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from qbxstokes.typing import Array, ComplexArray
 
 
 def to_modes(field: Array, n_theta: int, n_phi: int) -> ComplexArray:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.grid import SurfaceGrid, gauss_legendre
@@ -19,8 +18,8 @@ from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.harmonics import from_coefficients
 from qbxstokes.qbx.kernel import Centre, Kernels, layer_row, target_specific
 from qbxstokes.qbx.panels import Rule, graded_rule, uniform_rule
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Side = Literal["average", "inner", "outer"]
 
 

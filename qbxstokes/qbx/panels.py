@@ -8,12 +8,10 @@ both halves of the circle.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.typing import Array, Integers
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Rule = tuple[Array, Array, Integers, Integers, Array, Array]
 
 MAX_DEPTH = 100

@@ -23,8 +23,8 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.qbx.exterior import SURFACE_MARGIN, WHAT
 from qbxstokes.qbx.modes import to_modes
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 METHODS = ("plain", "graded", "expansion")

@@ -13,9 +13,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _SERIES = tuple(range(1, 40))
 

@@ -18,12 +18,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.reference.jeffery import free_angular_velocity, rotation_resistance
 from qbxstokes.reference.lamb import translation_resistance
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def body_coefficients(k: float) -> tuple[float, Array, Array]:

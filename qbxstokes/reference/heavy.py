@@ -20,12 +20,11 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.reference import jeffery, lamb
 from qbxstokes.reference.inertial import inertia, volume
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Inertia = Literal["both", "translation", "rotation"]
 
 _NODES = 512  # of the average over an orbit; its integrand is analytic in the phase

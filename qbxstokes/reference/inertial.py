@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.reference import chwang, jeffery, lamb
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 

@@ -13,11 +13,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.reference.integrals import alpha0, gamma0
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def rotation_resistance(k: float) -> tuple[float, float]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.reference.integrals import alpha0, chi0, gamma0
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def translation_resistance(k: float) -> tuple[float, float]:

@@ -17,12 +17,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.reference.faxen import surface_means
 from qbxstokes.reference.jeffery import free_angular_velocity, rotation_resistance
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Below this 1 - k^2 or 1 - 1/k^2 the integrals are summed as series.
 _SERIES, _TERMS = 0.7, 120

@@ -7,10 +7,10 @@ spheroid through each point in Carlson's form (DLMF 19.16), so that every aspect
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import elliprd, elliprf
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def translating_flow(k: float, points: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:

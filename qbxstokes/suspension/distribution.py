@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.suspension.harmonics import Harmonics
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Proposals of the rejection sampling that are made at once, and the grid that bounds the density.
 _CHUNK = 16_384

@@ -18,14 +18,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.harmonics import Harmonics
 from qbxstokes.suspension.particle import LinearFlow
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Truncation: never above this degree; grown by this factor until nothing changes.
 _MOST, _GROWTH = 480, 1.25

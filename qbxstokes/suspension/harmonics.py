@@ -18,11 +18,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Integers = NDArray[np.int64]
+from qbxstokes.typing import Array, ComplexArray, Integers
+
 Sparse = Any  # scipy.sparse.csr_array
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
+
 Protocol = Literal["steady", "startup", "cessation", "oscillation"]
 PROTOCOLS = ("steady", "startup", "cessation", "oscillation")
 

@@ -27,8 +27,7 @@ from qbxstokes.motion.stress import stresslets
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History
 from qbxstokes.suspension.particle import Particle
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _START = 2**62  # the step whose numbers make the orientations at the start
 _MOST_VARIANCE = 1.0

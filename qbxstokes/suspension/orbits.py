@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.suspension.distribution import AdvectedDensity
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Moments = tuple[Array, Array]
 
 # Real parts below this, relative to M, are rounding.

@@ -1,0 +1,11 @@
+"""Types of arrays, by the names that all annotations use."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Integers = NDArray[np.int64]
+Indices = NDArray[np.intp]
