@@ -83,12 +83,10 @@ class ExteriorFlow:
         points = np.ascontiguousarray(points, dtype=float)
         h, n, with_stress = self.harmonics, len(points), "stress" in what
         found = {name: np.empty((n, *WHAT[name])) for name in {"velocity", "pressure", *what}}
-        coefficients = np.moveaxis(self.coefficients, 0, -1)
         evaluate(
             points,
             h.ratio_of_axes,
-            np.ascontiguousarray(coefficients.real),
-            np.ascontiguousarray(coefficients.imag),
+            np.ascontiguousarray(np.moveaxis(self.coefficients, 0, -1)).view(np.float64),
             1.0 / h.ratio,
             h.rise,
             h.fall,

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal
+from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal, twice
 
 
 @njit(cache=compiled_are_kept())
@@ -65,27 +65,19 @@ def tabulate(  # type: ignore[no-untyped-def]
                 table[3, i, column], table[3, i, column + 1] = value.real, -value.imag
                 if second:
                     qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
-                    fgg, fgh, fhh = qgg * p, qg * pd, q * pdd
-                    xx = fgg * gx * gx + 2.0 * fgh * gx * hx + fhh * hx * hx + fg * gxx + fh * hxx
-                    yy = fgg * gy * gy + 2.0 * fgh * gy * hy + fhh * hy * hy + fg * gyy + fh * hyy
-                    zz = fgg * gz * gz + 2.0 * fgh * gz * hz + fhh * hz * hz + fg * gzz + fh * hzz
-                    xy = fgg * gx * gy + fgh * (gx * hy + gy * hx) + fhh * hx * hy
-                    xy += fg * gxy + fh * hxy
-                    xz = fgg * gx * gz + fgh * (gx * hz + gz * hx) + fhh * hx * hz
-                    xz += fg * gxz + fh * hxz
-                    yz = fgg * gy * gz + fgh * (gy * hz + gz * hy) + fhh * hy * hz
-                    yz += fg * gyz + fh * hyz
-                    value = w * xx + 2.0 * w1 * lx + w2 * f
+                    d = (qgg * p, qg * pd, q * pdd, fg, fh)
+                    value = w * twice(d, gx, gx, hx, hx, gxx, hxx) + 2.0 * w1 * lx + w2 * f
                     table[4, i, column], table[4, i, column + 1] = value.real, -value.imag
-                    value = w * yy + 2j * w1 * ly - w2 * f
+                    value = w * twice(d, gy, gy, hy, hy, gyy, hyy) + 2j * w1 * ly - w2 * f
                     table[5, i, column], table[5, i, column + 1] = value.real, -value.imag
-                    value = w * zz
+                    value = w * twice(d, gz, gz, hz, hz, gzz, hzz)
                     table[6, i, column], table[6, i, column + 1] = value.real, -value.imag
-                    value = w * xy + w1 * (ly + 1j * lx) + 1j * w2 * f
+                    value = w * twice(d, gx, gy, hx, hy, gxy, hxy)
+                    value += w1 * (ly + 1j * lx) + 1j * w2 * f
                     table[7, i, column], table[7, i, column + 1] = value.real, -value.imag
-                    value = w * xz + w1 * lz
+                    value = w * twice(d, gx, gz, hx, hz, gxz, hxz) + w1 * lz
                     table[8, i, column], table[8, i, column + 1] = value.real, -value.imag
-                    value = w * yz + 1j * w1 * lz
+                    value = w * twice(d, gy, gz, hy, hz, gyz, hyz) + 1j * w1 * lz
                     table[9, i, column], table[9, i, column + 1] = value.real, -value.imag
                 column += 2
                 up, down = rise[m, n], fall[m, n]

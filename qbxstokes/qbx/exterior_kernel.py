@@ -22,9 +22,9 @@ from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
 
-# Forward recurrence loses this factor at most before the continued fraction takes over.
-_FORWARD_LOSS = 50.0
-_LOG_PRECISION = 40.0
+# Logarithms: what the forward recurrence may lose before the backward one takes over; its accuracy.
+_FORWARD_LOSS = math.log(50.0)
+_LOG_PRECISION = 38.0
 
 
 @njit(cache=compiled_are_kept())
@@ -51,44 +51,45 @@ def logarithm(gamma, alpha, e2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=compiled_are_kept())
-def ratios(m, degree, gamma, alpha, e2, first, out):  # type: ignore[no-untyped-def]
-    """out[n] = Q_n^(m) / Q_{n-1}^(m) for n = m..degree; out[0] = Q_0 for m = 0.
-
-    first is the ratio at n = m where it is known from order m - 1 (thin bodies near their
-    surface, where the forward recurrence is stable enough), else 0: then the continued fraction
-    is run backwards from where the ratio no longer matters (Gautschi 1967, SIAM Rev. 9, 24).
-    """
-    if first != 0.0:
-        out[m] = first
-        for n in range(m, degree):
-            c = max(n + m, 1)
-            out[n + 1] = ((2 * n + 1) * gamma - c / out[n]) / ((n - m + 1) * e2)
-        return
-    growth = (gamma + alpha) ** 2
-    extra = 2
-    if e2 != 0.0:
-        growth = math.log(growth / abs(e2))
-        extra = int(_LOG_PRECISION / growth) + 2
-    r = 1.0 / (gamma + alpha)
-    for n in range(degree + extra, m - 1, -1):
-        r = max(n + m, 1) / ((2 * n + 1) * gamma - (n - m + 1) * e2 * r)
-        if n <= degree:
-            out[n] = r
-
-
-@njit(cache=compiled_are_kept())
 def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untyped-def]
-    """`ratios` for the orders m = 0..orders - 1, into out (orders, degree + 1)."""
-    forward = False
+    """out[m, n] = Q_n^(m) / Q_{n-1}^(m), m < orders, n = m..degree; out[0, 0] = Q_0.
+
+    For thin bodies near their surface by forward recurrence; else the recurrence is run backwards
+    from where its start no longer matters (Gautschi 1967, SIAM Rev. 9, 24), for
+    b_n ~ (2n + 1)!! (1 / scale)^n Q_n^(m) / (n + m)!, which neither grows nor divides in its chain.
+    """
+    growth = _LOG_PRECISION
     if e2 != 0.0:
-        forward = (degree + 2) * math.log((gamma + alpha) ** 2 / abs(e2)) < math.log(_FORWARD_LOSS)
-    first = logarithm(gamma, alpha, e2) if forward else 0.0
-    for m in range(orders):
-        if m > degree:
-            break
-        ratios(m, degree, gamma, alpha, e2, first, out[m])
-        if forward and m < degree:
-            first = out[m, m] * ((2 * m + 1) - gamma * out[m, m + 1]) / max(2 * m, 1)
+        growth = math.log((gamma + alpha) ** 2 / abs(e2))
+    if (degree + 2) * growth < _FORWARD_LOSS:
+        first = logarithm(gamma, alpha, e2)
+        for m in range(min(orders, degree + 1)):
+            out[m, m] = first
+            for n in range(m, degree):
+                c = max(n + m, 1)
+                out[m, n + 1] = ((2 * n + 1) * gamma - c / out[m, n]) / ((n - m + 1) * e2)
+            if m < degree:
+                first = out[m, m] * ((2 * m + 1) - gamma * out[m, m + 1]) / max(2 * m, 1)
+        return
+    extra = int(_LOG_PRECISION / growth) + 2
+    scale = 2.0 / (gamma + alpha)
+    rise = gamma * scale
+    fall = e2 * scale * scale
+    for m in range(min(orders, degree + 1)):
+        above = 1.0
+        here = 1.0
+        n1 = degree + extra + 1.0
+        for _ in range(extra):
+            below = rise * here - fall * (n1 * n1 - m * m) / (4.0 * n1 * n1 - 1.0) * above
+            above = here
+            here = below
+            n1 -= 1.0
+        for n in range(degree, m - 1, -1):
+            below = rise * here - fall * (n1 * n1 - m * m) / (4.0 * n1 * n1 - 1.0) * above
+            out[m, n] = scale * max(n + m, 1) * here / ((2 * n + 1) * below)
+            above = here
+            here = below
+            n1 -= 1.0
 
 
 @njit(cache=compiled_are_kept())
@@ -119,11 +120,17 @@ def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-un
 
 
 @njit(cache=compiled_are_kept())
+def twice(d, gi, gj, hi, hj, gij, hij):  # type: ignore[no-untyped-def]
+    """Second derivative ij of a function of gamma and eta with derivatives d: gg, gh, hh, g, h."""
+    gg, gh, hh, g, h = d
+    return gg * (gi * gj) + gh * (gi * hj + gj * hi) + hh * (hi * hj) + g * gij + h * hij
+
+
+@njit(cache=compiled_are_kept())
 def evaluate(  # type: ignore[no-untyped-def]
     points,
     k,
-    real,
-    imag,
+    coefficients,
     inverse_ratio,
     rise,
     fall,
@@ -139,18 +146,24 @@ def evaluate(  # type: ignore[no-untyped-def]
     """Velocity, pressure and stress of u = B + grad(C - x . B), x held fixed, at points (N, 3).
 
     k: equatorial semi-axis, in units of the polar one.
-    real, imag (orders, degree + 1, 4): coefficients of B_x, B_y, B_z, C on the harmonics E_nm, of
-    which the real part is taken. inverse_ratio: 1 / ratio on the surface. rise, fall, diagonal:
-    recurrence of p_n^m. amplitude (degree + 1): size of the terms of each degree on the surface;
-    at a point, degrees whose sum stays below tolerance are left out.
+    coefficients (orders, degree + 1, 8): those of B_x, B_y, B_z, C on the harmonics E_nm, real and
+    imaginary part each; of their sum the real part is taken. inverse_ratio: 1 / ratio on the
+    surface. rise, fall, diagonal: recurrence of p_n^m. amplitude (degree + 1): size of the terms of
+    each degree on the surface; at a point, degrees whose sum stays below tolerance are left out.
     The pressure is -2 div B and the stress 2 I div B + 2 grad grad (C - x . B)
     (Papkovich and Neuber; Kim & Karrila 1991, sec. 4.2). stress: xx, yy, zz, xy, xz, yz.
     Points inside the surface by more than margin (in the sum of squares that is 1 on it) get NaN.
     Returns the sum over points of the degree used: a measure of the work.
     """
     e2 = (1.0 - k) * (1.0 + k)
-    orders = real.shape[0]
-    top = real.shape[1] - 1
+    orders, top = coefficients.shape[0], coefficients.shape[1] - 1
+    used = np.zeros((orders, top + 1), dtype=np.bool_)
+    for m in range(orders):
+        for n in range(m, top + 1):
+            used[m, n] = np.any(coefficients[m, n] != 0.0)
+    # Sums over n of c E_nm and of its derivatives in gamma (g) and eta (h): E, g, h, gg, gh, hh.
+    parts = np.zeros((6, 8))
+    sums = parts.view(np.complex128)
     table = np.zeros((orders, top + 2))
     work = 0
     for i in range(points.shape[0]):
@@ -191,87 +204,51 @@ def evaluate(  # type: ignore[no-untyped-def]
         hy = -y * eta * inv
         hz = gamma * sine2 * inv
 
-        ux = 0.0
-        uy = 0.0
-        uz = 0.0
-        div = 0.0
-        fxx = 0.0
-        fyy = 0.0
-        fzz = 0.0
-        fxy = 0.0
-        fxz = 0.0
-        fyz = 0.0
+        ux, uy, uz, div = 0.0, 0.0, 0.0, 0.0
+        fxx, fyy, fzz, fxy, fxz, fyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if with_stress:
             gxx, gyy, gzz, gxy, gxz, gyz, hxx, hyy, hzz, hxy, hxz, hyz = bends(
                 x, y, gamma, eta, alpha2, sine2, e2, inv, (gx, gy, gz), (hx, hy, hz)
             )
         zk = complex(x, y) / k
-        w = complex(1.0, 0.0)
-        w1 = complex(0.0, 0.0)
-        w2 = complex(0.0, 0.0)
+        w, w1, w2 = complex(1.0, 0.0), complex(0.0, 0.0), complex(0.0, 0.0)
         start = 1.0  # (k / alpha)^(2 m)
         for m in range(n_orders):
-            b0 = complex(0.0, 0.0)
-            b1 = complex(0.0, 0.0)
-            b2 = complex(0.0, 0.0)
-            bg0 = complex(0.0, 0.0)
-            bg1 = complex(0.0, 0.0)
-            bg2 = complex(0.0, 0.0)
-            bh0 = complex(0.0, 0.0)
-            bh1 = complex(0.0, 0.0)
-            bh2 = complex(0.0, 0.0)
-            f = complex(0.0, 0.0)
-            fg = complex(0.0, 0.0)
-            fh = complex(0.0, 0.0)
-            fgg = complex(0.0, 0.0)
-            fgh = complex(0.0, 0.0)
-            fhh = complex(0.0, 0.0)
+            parts[:] = 0.0
             q = start
-            p = diagonal[m]
-            pd = 0.0
-            pdd = 0.0
-            p_last = 0.0
-            pd_last = 0.0
-            pdd_last = 0.0
+            p, pd, pdd = diagonal[m], 0.0, 0.0
+            p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
             for n in range(m, degree + 1):
                 r = table[m, n]
                 q *= r * inverse_ratio[m, n]
-                qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
-                c0 = complex(real[m, n, 0], imag[m, n, 0])
-                c1 = complex(real[m, n, 1], imag[m, n, 1])
-                c2 = complex(real[m, n, 2], imag[m, n, 2])
-                c = complex(real[m, n, 3], imag[m, n, 3]) - x * c0 - y * c1 - z * c2
-                qp = q * p
-                qgp = qg * p
-                qpd = q * pd
-                b0 += qp * c0
-                b1 += qp * c1
-                b2 += qp * c2
-                f += qp * c
-                fg += qgp * c
-                fh += qpd * c
-                bg0 += qgp * c0
-                bg1 += qgp * c1
-                bg2 += qgp * c2
-                bh0 += qpd * c0
-                bh1 += qpd * c1
-                bh2 += qpd * c2
-                if with_stress:
-                    qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
-                    fgg += qgg * p * c
-                    fgh += qg * pd * c
-                    fhh += q * pdd * c
-                up = rise[m, n]
-                down = fall[m, n]
+                if used[m, n]:
+                    qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
+                    e, eg, eh = q * p, qg * p, q * pd
+                    for j in range(8):
+                        c = coefficients[m, n, j]
+                        parts[0, j] += e * c
+                        parts[1, j] += eg * c
+                        parts[2, j] += eh * c
+                    if with_stress:
+                        qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
+                        egg, egh, ehh = qgg * p, qg * pd, q * pdd
+                        for j in range(8):
+                            c = coefficients[m, n, j]
+                            parts[3, j] += egg * c
+                            parts[4, j] += egh * c
+                            parts[5, j] += ehh * c
+                up, down = rise[m, n], fall[m, n]
                 p_next = up * eta * p - down * p_last
                 pd_next = up * (eta * pd + p) - down * pd_last
                 pdd_next = up * (eta * pdd + 2.0 * pd) - down * pdd_last
-                p_last = p
-                pd_last = pd
-                pdd_last = pdd
-                p = p_next
-                pd = pd_next
-                pdd = pdd_next
+                p_last, pd_last, pdd_last = p, pd, pdd
+                p, pd, pdd = p_next, pd_next, pdd_next
+            b0, b1, b2 = sums[0, 0], sums[0, 1], sums[0, 2]
+            bg0, bg1, bg2 = sums[1, 0], sums[1, 1], sums[1, 2]
+            bh0, bh1, bh2 = sums[2, 0], sums[2, 1], sums[2, 2]
+            f = sums[0, 3] - x * b0 - y * b1 - z * b2
+            fg = sums[1, 3] - x * bg0 - y * bg1 - z * bg2
+            fh = sums[2, 3] - x * bh0 - y * bh1 - z * bh2
             lx = fg * gx + fh * hx
             ly = fg * gy + fh * hy
             lz = fg * gz + fh * hz
@@ -283,53 +260,17 @@ def evaluate(  # type: ignore[no-untyped-def]
                 + w1 * (b0 + 1j * b1)
             ).real
             if with_stress:
-                fxx += (
-                    w * (fgg * gx * gx + 2.0 * fgh * gx * hx + fhh * hx * hx + fg * gxx + fh * hxx)
-                    + 2.0 * w1 * lx
-                    + w2 * f
-                ).real
-                fyy += (
-                    w * (fgg * gy * gy + 2.0 * fgh * gy * hy + fhh * hy * hy + fg * gyy + fh * hyy)
-                    + 2j * w1 * ly
-                    - w2 * f
-                ).real
-                fzz += (
-                    w * (fgg * gz * gz + 2.0 * fgh * gz * hz + fhh * hz * hz + fg * gzz + fh * hzz)
-                ).real
-                fxy += (
-                    w
-                    * (
-                        fgg * gx * gy
-                        + fgh * (gx * hy + gy * hx)
-                        + fhh * hx * hy
-                        + fg * gxy
-                        + fh * hxy
-                    )
-                    + w1 * (ly + 1j * lx)
-                    + 1j * w2 * f
-                ).real
-                fxz += (
-                    w
-                    * (
-                        fgg * gx * gz
-                        + fgh * (gx * hz + gz * hx)
-                        + fhh * hx * hz
-                        + fg * gxz
-                        + fh * hxz
-                    )
-                    + w1 * lz
-                ).real
-                fyz += (
-                    w
-                    * (
-                        fgg * gy * gz
-                        + fgh * (gy * hz + gz * hy)
-                        + fhh * hy * hz
-                        + fg * gyz
-                        + fh * hyz
-                    )
-                    + 1j * w1 * lz
-                ).real
+                fgg = sums[3, 3] - x * sums[3, 0] - y * sums[3, 1] - z * sums[3, 2]
+                fgh = sums[4, 3] - x * sums[4, 0] - y * sums[4, 1] - z * sums[4, 2]
+                fhh = sums[5, 3] - x * sums[5, 0] - y * sums[5, 1] - z * sums[5, 2]
+                d = (fgg, fgh, fhh, fg, fh)
+                fxx += (w * twice(d, gx, gx, hx, hx, gxx, hxx) + 2.0 * w1 * lx + w2 * f).real
+                fyy += (w * twice(d, gy, gy, hy, hy, gyy, hyy) + 2j * w1 * ly - w2 * f).real
+                fzz += (w * twice(d, gz, gz, hz, hz, gzz, hzz)).real
+                turned = w1 * (ly + 1j * lx) + 1j * w2 * f
+                fxy += (w * twice(d, gx, gy, hx, hy, gxy, hxy) + turned).real
+                fxz += (w * twice(d, gx, gz, hx, hz, gxz, hxz) + w1 * lz).real
+                fyz += (w * twice(d, gy, gz, hy, hz, gyz, hyz) + 1j * w1 * lz).real
             w2 = (m + 1) / k * w1
             w1 = (m + 1) / k * w
             w *= zk
