@@ -162,11 +162,11 @@ from qbxstokes.cli.main import run_command
 sys.exit(run_command(sys.argv[1:]))
 """
 SWEEP_FAILS = [
-    "qbxstokes.io.sweep_result:create",
-    "qbxstokes.io.sweep_result:create full",
+    "qbxstokes.io.sweep_result:_lay_out",
+    "qbxstokes.io.sweep_result:_lay_out full",
     "qbxstokes.runs.sweep:todo_of",
     "qbxstokes.runs.block:compute_block",
-    "qbxstokes.io.sweep_result:WholeFile.write_rows",
+    "qbxstokes.io.sweep_result:put_rows",
     "qbxstokes.io.store:write_whole full",
     "qbxstokes.runs.sweep_blocks:Scenes.scene",
 ]
@@ -178,7 +178,7 @@ MOTION_FAILS = [
     "qbxstokes.io.writer:ResultWriter.finish full",
     "qbxstokes.runs.field_work:FieldWork._do",
 ]
-SOME = ("qbxstokes.io.sweep_result:WholeFile.write_rows", "qbxstokes.io.field:put_rows")
+SOME = ("qbxstokes.io.sweep_result:put_rows", "qbxstokes.io.field:put_rows")
 
 
 @pytest.mark.parametrize(

@@ -24,10 +24,9 @@ from qbxstokes.case.sweep import column_name
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.io import store
+from qbxstokes.io import store, sweep_result
 from qbxstokes.io.names import parts_of
 from qbxstokes.io.store import holds_work, read_part
-from qbxstokes.io.sweep_result import runs
 from qbxstokes.motion.averages import ShearFrame, turn_averages
 from qbxstokes.quantities import MOTION
 from qbxstokes.reference import inertial, jeffery
@@ -666,14 +665,13 @@ def test_a_disk_that_fills_up_keeps_what_is_there(
     path = write(RANDOM, sweep={"block": 1}, checkpoint=OFTEN)
     assert run_command([str(path), "--quiet"]) == 0
     (tmp_path / "case.h5").rename(tmp_path / "whole.h5")
-    pwrite, whole, count = os.pwrite, store.write_whole, [0, 0]
+    put, whole, count = sweep_result.put_rows, store.write_whole, [0, 0]
 
-    def filling(descriptor: int, data: Any, offset: int) -> int:
+    def filling(*rows: Any) -> None:
         count[0] += 1
         if count[0] > 20:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        part = len(data) // 2 + 1 if count[0] % 2 else len(data)  # short writes, too
-        return pwrite(descriptor, data[:part], offset)
+        put(*rows)
 
     def full(path: Path, data: Any) -> None:
         count[1] += 1
@@ -688,17 +686,13 @@ def test_a_disk_that_fills_up_keeps_what_is_there(
     assert "No space left on device" in capfd.readouterr().err
     assert 0 < len(kept_blocks(folder)) < 6
     with monkeypatch.context() as patch:  # while the result is put together
-        patch.setattr(os, "pwrite", filling)
+        patch.setattr(sweep_result, "put_rows", filling)
         assert run_command([str(path), "--resume", "--progress", "none"]) == 1
     told = capfd.readouterr().err
     assert "No space left on device" in told
     assert "--resume" in told
     assert run_command([str(path), "--resume", "--quiet"]) == 0
     assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
-
-
-def test_rows_are_written_in_stretches() -> None:
-    assert runs(np.array([3, 4, 5, 9, 11, 12])) == [(0, 3), (3, 4), (4, 6)]
 
 
 def test_overwrite_begins_anew(write: Callable[..., Path], tmp_path: Path) -> None:

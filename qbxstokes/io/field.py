@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.io.places import describe, placed_dataset
+from qbxstokes.io.format import describe, placed_dataset
 from qbxstokes.quantities import FLUID, INSTANT, POINT, SURFACE
 
 if TYPE_CHECKING:

@@ -15,6 +15,8 @@ from qbxstokes.errors import HeldFileError
 if TYPE_CHECKING:
     import h5py
 
+    from qbxstokes.quantities import Quantity
+
 FORMAT = "qbxstokes"
 FORMAT_VERSION = 1
 PARTS = "parts"  # the group that names the parts which a result shows
@@ -77,6 +79,31 @@ def is_dimension(data: h5py.Dataset) -> bool:
     """Whether a dataset holds nothing but marks a dimension."""
     mark = data.attrs.get("NAME", b"") if data.ndim == 1 else b""
     return isinstance(mark, bytes) and mark.startswith(DIMENSION.encode())
+
+
+def describe(data: h5py.Dataset, about: Quantity) -> None:
+    """Attach units, description, frame and components."""
+    data.attrs.update(units=about.units, description=about.description, frame=about.frame)
+    if about.components:
+        data.attrs["components"] = list(about.components)
+
+
+def placed_dataset(
+    group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, about: Quantity | None = None
+) -> h5py.Dataset:
+    """A contiguous dataset that has its room in the file at once, and is filled later."""
+    import h5py
+
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_layout(h5py.h5d.CONTIGUOUS)
+    creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    creation.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    kind = h5py.h5t.py_create(np.dtype(dtype), logical=True)
+    space = h5py.h5s.create_simple(shape)
+    data = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, creation))
+    if about is not None:
+        describe(data, about)
+    return data
 
 
 def write_tree(group: h5py.Group, tree: Mapping[str, Any]) -> None:

@@ -12,16 +12,15 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.axes import name_axes
-from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, write_tree
+from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, describe, write_tree
 from qbxstokes.io.names import check_writable, numbered, temporary_name
-from qbxstokes.io.places import describe, reserve
 from qbxstokes.quantities import RECORDABLE, TIME, Quantity
 
 if TYPE_CHECKING:
@@ -169,8 +168,10 @@ class ResultWriter:
         except OSError as error:
             failure = self.stream.failure or error
         if failure is not None:
-            reason = failure.strerror or str(failure)
-            raise OutputError(f"{self.path}: cannot be written ({reason})") from None
+            raise self._lost(failure) from None
+
+    def _lost(self, failure: OSError) -> OutputError:
+        return OutputError(f"{self.path}: cannot be written ({failure.strerror or failure})")
 
     def _extended(self, name: str, values: NDArray[np.float64], about: Quantity) -> h5py.Dataset:
         """The dataset `name` with `values` after what it held."""
@@ -198,7 +199,7 @@ class ResultWriter:
         """Claim the room of all that has been laid out so far; raises OutputError."""
         with self._writing():
             self.file.flush()
-            reserve(self.temporary)
+            os.posix_fallocate(self.stream.fileno(), 0, os.fstat(self.stream.fileno()).st_size)
 
     def finish(self, summary: Mapping[str, Any] | None = None) -> Path:
         """Write the summary, close, and give the file its name; returns the name it got.
@@ -235,7 +236,7 @@ class ResultWriter:
             return name
         raise OutputError(f"{self.path}: every numbered name is taken; use --overwrite")
 
-    def __enter__(self) -> ResultWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

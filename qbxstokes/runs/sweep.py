@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -18,7 +17,7 @@ from qbxstokes.io import sweep_result as store
 from qbxstokes.io.listing import unknown
 from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import load, shows_parts
-from qbxstokes.io.store import Work, holds_work, open_work, reopen, unwritable
+from qbxstokes.io.store import Work, holds_work, open_work, reopen
 from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.interrupt import interrupted
@@ -30,8 +29,6 @@ from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, 
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
-
-_RESULT = "result.new"  # in the working folder, until it is whole
 
 
 def sweep_command(job: Job) -> int:
@@ -217,10 +214,10 @@ class Opening:
         """What the finished result leaves to do."""
         assert self.base is not None
         todo = Todo([])
-        with store.open_result(self.base, self._layout) as whole:
+        with store.reading(self.base) as file:
             for number in range(self._scenes.blocks):
-                index = self._scenes.block(number).index
-                table = whole.read_table(index)
+                index = np.sort(self._scenes.block(number).index)
+                table = file["table"][index]
                 lost = table["status"] != store.DONE
                 todo.failed[number] = {
                     int(i): reason.decode()
@@ -242,36 +239,35 @@ def _finished(
     ranks: int,
 ) -> dict[str, Any]:
     """On rank 0: the result under its name, with all rows or showing the parts; the summary."""
-    work = opening.work
+    work, found = opening.work, Todo([])
     assert work is not None
-    path, target, found = work.folder / _RESULT, work.target, Todo([])
     if not merges:
         gathering.drain()  # the other ranks have made safe what they had
     try:
         shown = None if merges else _shown(layout, work, found)
-        with store.create(path, layout, provenance, scales_of(scenes, layout), shown) as whole:
+        scales = scales_of(scenes, layout)
+        with store.SweepWriter(work, layout, provenance, scales, shown) as whole:
             if merges:
                 found = _merge(scenes, layout, whole, gathering, opening)
-            summary = _sum_up(scenes, whole, found, elapsed, ranks)
-        os.replace(path, target)
-    except OSError as error:
-        raise unwritable(target, error) from None
+            numbers, told = _sum_up(scenes, found, elapsed, ranks)
+            whole.finish({"complete": True, **numbers})
     finally:
         gathering.drain()
+    summary = {"result": str(work.target), "complete": False, **numbers, **told}
     if merges:
         opening.close(remove=True)
-        return {"result": str(target), **summary}
+        return summary
     for state in work.parts("state"):
         state.unlink(missing_ok=True)
     work.note_run(finished=True)
     work.close()
-    return {"result": str(target), "parts": str(work.folder), **summary}
+    return {**summary, "parts": str(work.folder)}
 
 
 def _merge(
     scenes: Swept,
     layout: store.Layout,
-    whole: store.WholeFile,
+    whole: store.SweepWriter,
     gathering: Gathering,
     opening: Opening,
 ) -> Todo:
@@ -279,10 +275,12 @@ def _merge(
     found = Todo([])
     if opening.base is not None:
         found = opening.failures()
-        with store.open_result(opening.base, layout) as old:
+        names = ["table", *layout.quantities]
+        names += ["time"] if layout.quantities and layout.times is None else []
+        with store.reading(opening.base) as old:
             for number in range(scenes.blocks):
-                index = scenes.block(number).index
-                whole.write_rows(index, old.read_rows(index))
+                index = np.sort(scenes.block(number).index)
+                whole.write_rows(index, {name: old[name][index] for name in names})
     for rows, note in gathering.collect():
         whole.write_rows(rows.pop("index"), rows)
         for told in note.get("items", [note]):
@@ -308,9 +306,9 @@ def _shown(layout: store.Layout, work: Work, found: Todo) -> list[store.Shown]:
 
 
 def _sum_up(
-    scenes: Swept, whole: store.WholeFile, found: Todo, elapsed: float, ranks: int
-) -> dict[str, Any]:
-    """The totals, into the file as well; the file is on the disk then."""
+    scenes: Swept, found: Todo, elapsed: float, ranks: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The totals, which the file holds too, and what else is told."""
     failed = {i: why for part in found.failed.values() for i, why in part.items()}
     numbers = {
         "trajectories": scenes.space.size,
@@ -320,12 +318,7 @@ def _sum_up(
         "wall_time": elapsed,
         "ranks": ranks,
     }
-    for name, value in numbers.items():
-        whole.write_total(name, value)
-    whole.flush()
-    return {
-        "complete": False,
-        **numbers,
+    return numbers, {
         "scenes": scenes.size,
         "blocks": scenes.blocks,
         "failures": dict(sorted(failed.items())[:1000]),
