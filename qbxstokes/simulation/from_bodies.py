@@ -9,21 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase, case_of, load_case
 from qbxstokes.case.scene import WITH_FLOW
-from qbxstokes.errors import CaseError, FlowError
 from qbxstokes.motion.loads import Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.coupled import CoupledSimulation
-from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_quaternion
+from qbxstokes.simulation.from_case import (
+    LOADS,
+    end_of,
+    loads_on,
+    pointed,
+    simulation_of,
+    start_quaternion,
+)
 from qbxstokes.simulation.repulsion import Repulsion
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.time_vectors import timed
 from qbxstokes.simulation.wall import Wall
 
 Array = NDArray[np.float64]
-_KINDS = ("force", "torque", "body_force", "body_torque")  # in the order of `Loads`
 
 
 def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
@@ -64,38 +67,14 @@ def _loads_of(loaded: LoadedCase) -> Loads | None:
     """What acts on the bodies: vectors (N, 3), or functions of time; None where nothing does."""
     case = loaded.case
     end = 0.0 if case.time is None else end_of(loaded)
-    rows = [_loads_on(loaded, index, body, end) for index, body in enumerate(case.members)]
+    rows = [
+        loads_on(loaded, body, key, end)
+        for index, body in enumerate(case.members)
+        for key in [("forces",) if body.forces is None else ("bodies", index, "forces")]
+    ]
     if not any(rows):
         return None
-    return Loads(*(_stacked([row.get(kind) for row in rows]) for kind in _KINDS))
-
-
-def _loads_on(loaded: LoadedCase, index: int, body: BodyEntry, end: float) -> dict[str, Any]:
-    """Vectors of one body by kind."""
-    own = body.forces is not None
-    forces = body.forces if body.forces is not None else loaded.case.forces
-    found: dict[str, Any] = {}
-    for kind in _KINDS:
-        value = getattr(forces, kind)
-        if value is None:
-            continue
-        try:
-            found[kind] = timed(value, loaded.path.parent, end)
-        except (CaseError, FlowError) as error:
-            key = ("bodies", index, "forces", kind) if own else ("forces", kind)
-            raise loaded.error(key, str(error)) from None
-    if forces.gravity is not None:
-        direction = np.array(forces.gravity.direction)
-        net = forces.gravity.net(body.stokes_number) * body.outline.volume * body.size**3
-        weight = net * direction / np.linalg.norm(direction)
-        found["force"] = _sum(found.get("force", np.zeros(3)), weight)
-    return found
-
-
-def _sum(first: Any, constant: Array) -> Any:
-    if callable(first):
-        return lambda t: np.asarray(first(t)) + constant
-    return first + constant
+    return Loads(*(_stacked([row.get(kind) for row in rows]) for kind in LOADS))
 
 
 def _stacked(vectors: list[Any]) -> Array | Callable[[float], Array]:

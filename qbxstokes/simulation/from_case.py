@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.running import Time
 from qbxstokes.case.scene import FREE, LOCKED, Start
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 
 # Instants stored where a case does not say how many: least and most, and the axis' turn between.
 _SAMPLES, _TURN = (201, 20_001), 0.3  # radians
-_LOADS = ("force", "torque", "body_force", "body_torque")
+LOADS = ("force", "torque", "body_force", "body_torque")  # in the order of `Loads`
 
 
 @dataclass(frozen=True)
@@ -226,17 +227,8 @@ def loads_and_constraints(
 
     Raises CaseError for a table or function that cannot be used.
     """
-    forces, held = loaded.case.forces, loaded.case.constraints
-    loads = None
-    if forces.given:
-        parts: dict[str, Any] = {
-            name: _vector(loaded, ("forces", name), getattr(forces, name), end)
-            for name in _LOADS
-            if getattr(forces, name) is not None
-        }
-        if forces.gravity is not None:
-            parts["force"] = _sum(parts.get("force"), weight(loaded))
-        loads = Loads(**parts)
+    held = loaded.case.constraints
+    loads = loads_on(loaded, loaded.case.members[0], ("forces",), end)
     constraints = None
     if held.given:
         constraints = Constraints(
@@ -245,26 +237,29 @@ def loads_and_constraints(
                 for name in ("translation", "rotation")
             )
         )
-    return loads, constraints
+    return (Loads(**loads) if loads else None), constraints
 
 
-def weight(loaded: LoadedCase) -> Array:
-    """Weight less buoyancy, (3,): Theta G e (see `case.scene.Gravity`)."""
-    case = loaded.case
-    gravity = case.forces.gravity
-    assert gravity is not None
-    direction = np.array(gravity.direction)
-    volume = case.body.outline.volume
-    net = gravity.net(case.body.stokes_number)
-    return np.asarray(volume * net * direction / np.linalg.norm(direction))
+def loads_on(
+    loaded: LoadedCase, body: BodyEntry, key: tuple[str | int, ...], end: float
+) -> dict[str, Any]:
+    """What acts on a body: vectors (3,), or functions of time, by kind; key: of its `forces`.
 
-
-def _sum(first: Any, constant: Array) -> Any:
-    if first is None:
-        return constant
-    if callable(first):
-        return lambda t: np.asarray(first(t)) + constant
-    return first + constant
+    The weight less buoyancy, Theta G e, stands with the force (see `case.scene.Gravity`).
+    """
+    forces = loaded.case.forces if body.forces is None else body.forces
+    found = {
+        kind: _vector(loaded, (*key, kind), getattr(forces, kind), end)
+        for kind in LOADS
+        if getattr(forces, kind) is not None
+    }
+    if forces.gravity is not None:
+        direction = np.array(forces.gravity.direction)
+        net = forces.gravity.net(body.stokes_number) * body.outline.volume * body.size**3
+        weight, given = net * direction / np.linalg.norm(direction), found.get("force", 0.0)
+        turned = callable(given)
+        found["force"] = (lambda t: np.asarray(given(t)) + weight) if turned else given + weight
+    return found
 
 
 def _bound(loaded: LoadedCase, name: str, value: Any, end: float) -> Any:
@@ -275,7 +270,7 @@ def _bound(loaded: LoadedCase, name: str, value: Any, end: float) -> Any:
     return _vector(loaded, ("constraints", name), value, end)
 
 
-def _vector(loaded: LoadedCase, key: tuple[str, str], value: Any, end: float) -> Any:
+def _vector(loaded: LoadedCase, key: tuple[str | int, ...], value: Any, end: float) -> Any:
     try:
         return timed(value, loaded.path.parent, end)
     except (CaseError, FlowError) as error:
