@@ -28,8 +28,8 @@ from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.runs.destination import target_of
 from qbxstokes.runs.parallel import missing_message
 from qbxstokes.runs.plan import make_plan, plan_of
-from qbxstokes.runs.report import counted
-from qbxstokes.runs.summary import _estimate, _seen, flow_text, shape_text
+from qbxstokes.runs.report import counted, flow_text, shape_text
+from qbxstokes.runs.summary import _estimate, _seen
 
 WriteCase = Callable[..., Path]
 

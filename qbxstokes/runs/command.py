@@ -175,7 +175,8 @@ def carry_out(job: Job) -> int:
     """Plan and summary of a single motion, body or field; returns the exit status."""
     loaded = job.loaded
     with job.clock.part("import"):
-        from qbxstokes.runs.summary import missed, plan_facts, plan_text, remarks, summary_text
+        from qbxstokes.runs.plan_report import plan_facts, plan_text
+        from qbxstokes.runs.summary import missed, remarks, summary_text
 
     def planned() -> tuple[dict[str, Any], str]:
         from qbxstokes.runs.cost import seconds_of

@@ -23,13 +23,6 @@ _WIDEST = 44
 _ROUNDING = 1e-13  # components below this share of the largest are rounding
 
 Rows = Iterable[tuple[str, str]]
-MANY = 6  # bodies that are told one by one
-# What errors are relative to, or of.
-ABOUT = {
-    "resistance": "of the largest entry",
-    "no slip": "largest slip on a surface, which bounds the error of the velocity",
-    "coarser grids": "change of the velocity at points from the surfaces to far away",
-}
 
 
 def section(heading: str, rows: Rows) -> str:
@@ -91,37 +84,9 @@ def listed(lines: Iterable[str]) -> Rows:
     return (("", f"- {line}") for line in lines)
 
 
-def spent_text(times: Mapping[str, float]) -> str:
-    """Wall times by part."""
-    return ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
-
-
 def error_text(value: float) -> str:
     """An error: two digits and an exponent, or 0."""
     return f"{value:.1e}" if value else "0"
-
-
-def expected_text(expected: Mapping[str, float]) -> str:
-    """The error that the axis is expected to have at the end, and its parts."""
-    total, *parts = expected.items()
-    made = ", ".join(f"{name} {error_text(value)}" for name, value in parts)
-    return f"{error_text(total[1])} of the axis at the end: {made}"
-
-
-def out_of_reach(summary: Mapping[str, Any], tolerance: float) -> Iterable[str]:
-    """What keeps a motion from its tolerance."""
-    reachable = summary.get("integration", {}).get("reachable_error", 0.0)
-    if reachable > 3.0 * tolerance:
-        yield (
-            f"time.tolerance {tolerance:g} is out of reach: rounding alone leaves "
-            f"an error of about {reachable:.0e} at the end"
-        )
-    law = summary.get("expected_error", {}).get("law", 0.0)
-    if law > 10.0 * tolerance:
-        yield (
-            f"time.tolerance {tolerance:g} is missed: the error of the body's law comes to about "
-            f"{law:.0e} at the end"
-        )
 
 
 def counted(count: float, noun: str, plural: str = "") -> str:
@@ -253,17 +218,3 @@ def near_edge(gap: float, t: float | None = None) -> str:
         f"the body's surface came within {max(gap, 0.0):.3g} of a wall of the flow{when}, less "
         "than a body length: the wall's own influence on the body is not in the equations"
     )
-
-
-def of_each(name: str, values: Any, scale: float = 0.0) -> Rows:
-    """A vector of every body (N, 3), or of one (3,)."""
-    rows = values if values.ndim == 2 else values[None]
-    for number, row in enumerate(rows[:MANY], start=1):
-        who = f"body {number}: " if values.ndim == 2 else ""
-        yield name if number == 1 else " ", f"{who}{vector(row, scale)}"
-
-
-def grids(nodes: list[int]) -> str:
-    """Polar nodes of the bodies."""
-    least, most = min(nodes), max(nodes)
-    return f"{least if least == most else f'{least} to {most}'} polar nodes"

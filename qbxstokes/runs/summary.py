@@ -1,4 +1,4 @@
-"""The texts of a task: its plan before the run, its summary after it."""
+"""The summary of a task: what was solved and found, errors, times, files."""
 
 from __future__ import annotations
 
@@ -10,169 +10,47 @@ from typing import Any
 import numpy as np
 
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.scene import FREE, LOCKED
-from qbxstokes.case.schema import Case
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.destination import result_path
-from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
+from qbxstokes.runs.plan import Plan
+from qbxstokes.runs.plan_report import MANY, scene
 from qbxstokes.runs.report import (
-    ABOUT,
     Rows,
     counted,
     duration,
     error_text,
-    expected_text,
-    flow_text,
-    grids,
     listed,
     near_edge,
-    of_each,
-    out_of_reach,
     quantity,
     render,
-    shape_text,
-    size,
-    spent_text,
     vector,
 )
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
-_TAKES = "beside start, comparison, lines and a motion's field (within a factor of 2) about"
 _LONG = 1.0  # a comparison that takes longer (s), and longer than the motion, says how to avoid it
-# Errors of a field, which has no reference but itself.
+# What errors are relative to, or of; a field has no reference but itself.
 _CHECKS = {
-    **ABOUT,
+    "resistance": "of the largest entry",
+    "no slip": "largest slip on a surface, which bounds the error of the velocity",
+    "coarser grids": "change of the velocity at points from the surfaces to far away",
     "table against QBX": "two evaluations at points from the surface to far away",
 }
-
-
-def scene(loaded: LoadedCase, plan: Plan) -> Rows:
-    """Body and flow; where the body is, or what drives it and for how long."""
-    case = loaded.case
-    if case.coupled:
-        from qbxstokes.runs import coupled_report
-
-        yield from coupled_report.scene(loaded)
-        return
-    shape, stokes = shape_text(case.body.outline), case.body.stokes_number
-    if case.task == "motion":
-        shape += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
-    elif case.task == "field":
-        assert case.field is not None
-        shape += f", {case.field.body}"
-    yield "body", shape
-    if case.flow is not None:
-        yield "flow", flow_text(loaded)
-        if loaded.flow.domain:
-            yield "walls", "bound the flow; their answer to the body is not in the equations"
-    if case.units is not None:
-        yield "units", case.units.scales.told
-    if isinstance(plan, MotionPlan):
-        yield from _driven(case)
-        yield "time", _span(plan)
-    elif case.rheology is not None:
-        yield "suspension", f"dilute, {case.rheology.protocol} flow"
-    elif case.task == "body" and case.flow is not None:
-        place, turn = plan.simulation.position[0], plan.simulation.quaternion[0]
-        yield "place", f"({vector(place)}), quaternion ({vector(turn)})"
-
-
-def _span(plan: MotionPlan) -> str:
-    end = float(plan.times[-1])
-    text = f"0 to {quantity(end)}"
-    if plan.period is not None and plan.simulation.flow.steady:
-        periods = counted(end / plan.period, "Jeffery period")
-        text += f" ({periods} of {quantity(plan.period)})"
-    return f"{text}, {len(plan.times)} samples"
-
-
-def _driven(case: Case) -> Rows:
-    """Loads and constraints, where there are any."""
-    loads = []
-    for name in ("force", "torque", "body_force", "body_torque"):
-        value = getattr(case.forces, name)
-        if value is not None:
-            loads.append(f"{name.replace('_', ' ')} {_vector(value)}")
-    gravity = case.forces.gravity
-    if gravity is not None:
-        net = gravity.net(case.body.stokes_number)
-        loads.append(f"net weight {quantity(net)} x volume along {_vector(gravity.direction)}")
-    if loads:
-        yield "loads", "; ".join(loads)
-    held = [
-        f"{name} {value if value == LOCKED else 'prescribed: ' + _vector(value)}"
-        for name in ("translation", "rotation")
-        if (value := getattr(case.constraints, name)) != FREE
-    ]
-    if held:
-        yield "constraints", "; ".join(held)
-
-
-def _vector(value: Any) -> str:
-    if isinstance(value, dict):
-        return f"table {value['table']}" if "table" in value else "as tabulated"
-    if isinstance(value, str):
-        return value
-    return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
-
-
-def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
-    """The plan as plain data."""
-    facts: dict[str, Any] = {
-        "needs": list(plan.needs),
-        "skips": list(plan.skips),
-        "output": str(target),
-    }
-    if isinstance(plan, FieldPlan):
-        facts |= {"points": plan.points}
-    if isinstance(plan, MotionPlan):
-        facts |= {
-            "end": float(plan.times[-1]),
-            "samples": len(plan.times),
-            "bytes_on_disk": plan.bytes_on_disk,
-        }
-        if not isinstance(plan, CoupledPlan):
-            facts |= {"hydrodynamics": plan.simulation.kind, "jeffery_period": plan.period}
-    return facts
-
-
-def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:
-    """What the task needs, what it skips, where the result goes, how long it takes if known."""
-    writes = "", str(target)
-    if isinstance(plan, MotionPlan):
-        writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
-    sections: dict[str, Rows] = {
-        "Scene": scene(loaded, plan),
-        "Needs": listed(plan.needs),
-        "Skips": listed(plan.skips),
-        "Writes": [writes],
-        "Takes": [] if seconds is None else [("", f"{_TAKES} {duration(seconds)}")],
-    }
-    title = f"Plan: {loaded.case.title or loaded.case.task}"
-    return render(title, str(loaded.path), sections) + "\n"
 
 
 def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
     """What was solved, what was found and skipped, errors, times, and the files."""
     of_field = loaded.case.task == "field"
     times = summary["wall_times"]
-    spent = spent_text(times)
+    spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
     if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
-    if loaded.case.coupled and not of_field:
-        from qbxstokes.runs import coupled_report
-
-        found = coupled_report.sections(summary)
-    else:
-        found = {
-            "Solved": _field_solved(summary) if of_field else _solved(summary),
-            "Found": _found(summary),
-            "Errors": _errors(summary),
-        }
+    estimated = loaded.case.coupled and not of_field
     sections: dict[str, Rows] = {
         "Scene": scene(loaded, plan),
-        **found,
+        "Solved": _field_solved(summary) if of_field else _solved(summary),
+        "Found": _found(summary),
+        "Estimated errors" if estimated else "Errors": _errors(summary),
         "Skipped": () if of_field else listed(plan.skips),
         "Times": [("total", duration(times["total"])), ("parts", spent)],
         "Result": files(loaded, summary),
@@ -185,7 +63,15 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     yield from loaded.remarks
     time, compared = loaded.case.time, loaded.case.compare.tolerance
     if time is not None:
-        yield from out_of_reach(summary, time.tolerance)
+        aim = f"time.tolerance {time.tolerance:g}"
+        reachable = summary.get("integration", {}).get("reachable_error", 0.0)
+        if reachable > 3.0 * time.tolerance:
+            rounding = f"rounding alone leaves an error of about {reachable:.0e} at the end"
+            yield f"{aim} is out of reach: {rounding}"
+        law = summary.get("expected_error", {}).get("law", 0.0)
+        if law > 10.0 * time.tolerance:
+            error = f"the error of the body's law comes to about {law:.0e} at the end"
+            yield f"{aim} is missed: {error}"
     found = summary.get("events", {})
     if "ended_by" in found:
         yield f"ended at t = {summary['end']:.6g}: {found['ended_because']}"
@@ -208,8 +94,9 @@ def missed(loaded: LoadedCase, summary: dict[str, Any]) -> bool:
 
 def _errors(summary: dict[str, Any]) -> Rows:
     references = summary.get("references", {})
-    for name, value in (summary["errors"] | summary.get("field", {}).get("errors", {})).items():
-        about = f"against {references[name]}" if name in references else _CHECKS[name]
+    errors = summary.get("error_estimates") or summary.get("velocity_errors") or summary["errors"]
+    for name, value in (errors | summary.get("field", {}).get("errors", {})).items():
+        about = f"against {references[name]}" if name in references else _CHECKS.get(name, "")
         yield name.replace("_", " "), f"{error_text(value):9}{about}"
     if summary.get("note"):
         yield "", summary["note"]
@@ -226,19 +113,31 @@ def files(loaded: LoadedCase, summary: dict[str, Any]) -> Rows:
 
 
 def _field_solved(summary: dict[str, Any]) -> Rows:
-    hydro, together = summary["hydrodynamics"], summary["hydrodynamics"].get("nodes")
-    if together is not None:
-        grid = grids(together)
-    else:
-        grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes"
+    hydro = summary["hydrodynamics"]
     work = f"{counted(hydro['solves'], 'solve')}, {counted(hydro['iterations'], 'iteration')}"
-    residual = f"true residual <= {error_text(hydro['true_residual'])}"
-    yield "integral equation" if together is None else "GMRES", f"{grid}, {work}, {residual}"
-    if together is None:
+    work += f", true residual <= {error_text(hydro['true_residual'])}"
+    if "nodes" in hydro:
+        yield "GMRES", f"{_grids(hydro['nodes'])}, {work}"
+    else:
+        yield "integral equation", f"{hydro['n_theta']} x {hydro['n_phi']} nodes, {work}"
         yield "table", f"spheroidal harmonics of degree {hydro['degree_of_table']}"
     yield "points", _points(summary["points"])
     for name in ("velocity", "angular_velocity", "force", "torque"):
-        yield from of_each(name, summary[name], summary["scales"][name])
+        yield from _of_each(name, summary[name], summary["scales"][name])
+
+
+def _of_each(name: str, values: Any, scale: float = 0.0) -> Rows:
+    """A vector of every body (N, 3), or of one (3,)."""
+    several = np.ndim(values) == 2
+    for number, row in enumerate(np.atleast_2d(values)[:MANY], start=1):
+        who = f"body {number}: " if several else ""
+        yield name if number == 1 else " ", f"{who}{vector(row, scale)}"
+
+
+def _grids(nodes: list[int]) -> str:
+    """Polar nodes of the bodies."""
+    least, most = min(nodes), max(nodes)
+    return f"{least if least == most else f'{least} to {most}'} polar nodes"
 
 
 def _points(points: Mapping[str, int]) -> str:
@@ -273,16 +172,33 @@ def _suspension(found: Mapping[str, Any]) -> Rows:
 
 
 def _law(summary: dict[str, Any]) -> Rows:
-    """The numbers of a body's law; in a flow, what the body does there."""
+    """The numbers of a body's law; what bodies do where they are, in a flow or under loads."""
     for name, about in BODY.items():
         if name in summary and about.shape != (6, 6):
-            value = summary[name]
-            text = f"{value:.9g}" if np.ndim(value) == 0 else f"({vector(value)})"
-            yield name.replace("_", " "), text
+            value, label = summary[name], name.replace("_", " ")
+            if np.ndim(value) == 2:
+                yield from _of_each(label, value)
+            else:
+                yield label, f"{value:.9g}" if np.ndim(value) == 0 else f"({vector(value)})"
 
 
 def _solved(summary: dict[str, Any]) -> Rows:
-    """How the body was formed, its resistance, and what the motion took."""
+    """How the bodies were formed, and what the motion took."""
+    if "hydrodynamics" in summary:
+        yield from _formed(summary)
+    elif "integration" not in summary:
+        yield "grids", _grids(summary["nodes"])
+        yield "GMRES", counted(summary["iterations"], "iteration") + " for the free bodies"
+        if isfinite(summary["gap"]):
+            yield "least gap", f"{quantity(summary['gap'])}: {summary['nearest']}"
+    if "integration" in summary:
+        yield from _integrated(summary)
+    if "field" in summary:
+        yield "field", _points(summary["field"]["points"])
+
+
+def _formed(summary: dict[str, Any]) -> Rows:
+    """The grid of a single body, what it was solved for, its resistance."""
     hydro = summary["hydrodynamics"]
     grid = f"{hydro['n_theta']} x {hydro['n_phi']} nodes, order {hydro['expansion_order']}"
     yield "integral equation", f"{hydro['scheme']} QBX, {grid}"
@@ -311,10 +227,12 @@ def _solved(summary: dict[str, Any]) -> Rows:
         )
         text = f"{across} across, {along} along the axis; rotation {turning}, {spinning}"
         yield "resistance", text
-    if "integration" not in summary:
-        return
-    steps, layer = summary["integration"], summary["relaxation_times"]
-    if layer:
+
+
+def _integrated(summary: dict[str, Any]) -> Rows:
+    """What the motion took, and what its error is expected to be."""
+    steps = summary["integration"]
+    if layer := summary.get("relaxation_times"):
         a, b, c, d = (quantity(value) for value in layer.values())
         yield "relaxation times", f"{a} across, {b} along; axis {c}, spin {d}"
     if summary["resumed_at"] is not None:
@@ -330,15 +248,20 @@ def _solved(summary: dict[str, Any]) -> Rows:
             f"none longer than {steps['longest_step']:.3g}, for flow or loads change in time; what "
             "changes within much less needs flow.longest_step",
         )
+    if "solves" in summary:  # of bodies together
+        work = (
+            f"{counted(summary['solves'], 'solve')}, {counted(summary['iterations'], 'iteration')}"
+        )
+        yield "GMRES", f"{work} in all"
     if "expected_error" in summary:
-        yield "expected error", expected_text(summary["expected_error"])
+        (_, total), *parts = summary["expected_error"].items()
+        made = ", ".join(f"{name} {error_text(value)}" for name, value in parts)
+        yield "expected error", f"{error_text(total)} of the axis at the end: {made}"
     if summary.get("sampling"):
         axis, place = (f"{summary['sampling'][name]:.2g}" for name in ("axis", "position"))
         yield "left by samples", f"{axis} of the axis at the end, {place} of the position"
     if "changed" in steps:
         yield "", steps["changed"]
-    if "field" in summary:
-        yield "field", _points(summary["field"]["points"])
 
 
 def _estimate(hydro: Mapping[str, Any]) -> str:
@@ -376,5 +299,12 @@ def _seen(summary: dict[str, Any]) -> Rows:
         yield "drift of invariants", f"orbit constant {drift}, quaternion norm {norm}"
     if "steady_at" in found:
         yield "steady", f"from t = {quantity(found['steady_at'])} on"
+    if "who" in (near := found.get("nearest", {})):
+        yield "least gap", f"{near['gap']:.6g}: {near['who']}, at t = {quantity(near['time'])}"
     if "ended_by" in found:
-        yield "ended", f"at t = {quantity(summary['end'])}: {found['ended_because']}"
+        by = f", {found['ended_by']}" if "solves" in summary else ""
+        yield "ended", f"at t = {quantity(summary['end'])}{by}: {found['ended_because']}"
+    if "solves" in summary and "final_position" in summary:
+        places = np.atleast_2d(summary["final_position"])[:MANY]
+        for number, place in enumerate(places):
+            yield " " if number else "at the end", f"({vector(place)})"

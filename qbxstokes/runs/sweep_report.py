@@ -12,7 +12,7 @@ from qbxstokes.io.results import SweepResult, load
 from qbxstokes.io.sweep_result import Layout
 from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate
-from qbxstokes.runs.coupled_report import around
+from qbxstokes.runs.plan_report import around
 from qbxstokes.runs.report import Rows, counted, duration, listed, quantity, render, size, vector
 from qbxstokes.runs.sweep_layout import Swept
 

@@ -1,0 +1,146 @@
+"""What a case is about and what its task needs and skips, told before the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from qbxstokes.case.load import LoadedCase
+from qbxstokes.case.scene import FREE, LOCKED
+from qbxstokes.case.schema import Case
+from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
+from qbxstokes.runs.report import (
+    Rows,
+    counted,
+    duration,
+    flow_text,
+    listed,
+    quantity,
+    render,
+    shape_text,
+    size,
+    vector,
+)
+
+MANY = 6  # bodies that are told one by one
+_TAKES = "beside start, comparison, lines and a motion's field (within a factor of 2) about"
+
+
+def scene(loaded: LoadedCase, plan: Plan) -> Rows:
+    """Body and flow; where the body is, or what drives it and for how long."""
+    case = loaded.case
+    for body in case.members[:MANY]:
+        text = shape_text(body.outline)
+        if case.coupled:
+            text += "" if body.size == 1.0 else f", size {quantity(body.size)}"
+            text += f", at ({vector(body.start.position)})"
+        elif case.task == "motion":
+            stokes = body.stokes_number
+            text += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
+        elif case.field is not None:
+            text += f", {case.field.body}"
+        yield "body", text
+    if len(case.members) > MANY:
+        yield "", f"and {len(case.members) - MANY} more"
+    yield from around(loaded)
+    if case.coupled:
+        return
+    if case.units is not None:
+        yield "units", case.units.scales.told
+    if isinstance(plan, MotionPlan):
+        yield from _driven(case)
+        yield "time", _span(plan)
+    elif case.rheology is not None:
+        yield "suspension", f"dilute, {case.rheology.protocol} flow"
+    elif case.task == "body" and case.flow is not None:
+        place, turn = plan.simulation.position[0], plan.simulation.quaternion[0]
+        yield "place", f"({vector(place)}), quaternion ({vector(turn)})"
+
+
+def around(loaded: LoadedCase) -> Rows:
+    """What bounds the fluid, the flow, and what acts between the bodies."""
+    case, wall, push = loaded.case, loaded.case.wall, loaded.case.repulsion
+    if wall is not None:
+        yield "wall", f"through ({vector(wall.point)}), normal ({vector(wall.normal)})"
+    if case.flow is not None:
+        yield "flow", flow_text(loaded) + ("; moves with the wall on it" if wall else "")
+        if loaded.flow.domain and not case.coupled:
+            yield "walls", "bound the flow; their answer to the body is not in the equations"
+    if push is not None:
+        size = f"{quantity(push.strength)} exp(-gap/{quantity(push.range)})"
+        yield "repulsion", f"{size} along the gap of every pair: no part of the hydrodynamics"
+
+
+def _span(plan: MotionPlan) -> str:
+    end = float(plan.times[-1])
+    text = f"0 to {quantity(end)}"
+    if plan.period is not None and plan.simulation.flow.steady:
+        periods = counted(end / plan.period, "Jeffery period")
+        text += f" ({periods} of {quantity(plan.period)})"
+    return f"{text}, {len(plan.times)} samples"
+
+
+def _driven(case: Case) -> Rows:
+    """Loads and constraints, where there are any."""
+    loads = []
+    for name in ("force", "torque", "body_force", "body_torque"):
+        value = getattr(case.forces, name)
+        if value is not None:
+            loads.append(f"{name.replace('_', ' ')} {_vector(value)}")
+    gravity = case.forces.gravity
+    if gravity is not None:
+        net = gravity.net(case.body.stokes_number)
+        loads.append(f"net weight {quantity(net)} x volume along {_vector(gravity.direction)}")
+    if loads:
+        yield "loads", "; ".join(loads)
+    held = [
+        f"{name} {value if value == LOCKED else 'prescribed: ' + _vector(value)}"
+        for name in ("translation", "rotation")
+        if (value := getattr(case.constraints, name)) != FREE
+    ]
+    if held:
+        yield "constraints", "; ".join(held)
+
+
+def _vector(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"table {value['table']}" if "table" in value else "as tabulated"
+    if isinstance(value, str):
+        return value
+    return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
+
+
+def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
+    """The plan as plain data."""
+    facts: dict[str, Any] = {
+        "needs": list(plan.needs),
+        "skips": list(plan.skips),
+        "output": str(target),
+    }
+    if isinstance(plan, FieldPlan):
+        facts |= {"points": plan.points}
+    if isinstance(plan, MotionPlan):
+        facts |= {
+            "end": float(plan.times[-1]),
+            "samples": len(plan.times),
+            "bytes_on_disk": plan.bytes_on_disk,
+        }
+        if not isinstance(plan, CoupledPlan):
+            facts |= {"hydrodynamics": plan.simulation.kind, "jeffery_period": plan.period}
+    return facts
+
+
+def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:
+    """What the task needs, what it skips, where the result goes, how long it takes if known."""
+    writes = "", str(target)
+    if isinstance(plan, MotionPlan):
+        writes = str(target), f"about {size(plan.bytes_on_disk)} of samples"
+    sections: dict[str, Rows] = {
+        "Scene": scene(loaded, plan),
+        "Needs": listed(plan.needs),
+        "Skips": listed(plan.skips),
+        "Writes": [writes],
+        "Takes": [] if seconds is None else [("", f"{_TAKES} {duration(seconds)}")],
+    }
+    title = f"Plan: {loaded.case.title or loaded.case.task}"
+    return render(title, str(loaded.path), sections) + "\n"
