@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.linalg import expm
 
 import qbxstokes as qs
 from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SceneError
+from qbxstokes.flows.recognition import recognised
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.runs import destination as target
 from qbxstokes.simulation.ensemble import Ensemble
@@ -292,6 +294,70 @@ def test_large_files_count_by_their_ends(tmp_path: Path, monkeypatch: pytest.Mon
     os.utime(path, ns=(2 * 10**18, 2 * 10**18))
     seen.add(target.fingerprint(path))
     assert len(seen) == 6
+
+
+def test_functions_that_are_polynomials_are_recognised() -> None:
+    def shear(x: Any) -> Any:
+        return np.stack(
+            [
+                x[:, 1] + 0.125 * (x[:, 1] ** 3 - 3.0 * x[:, 1] * x[:, 2] ** 2),
+                0.0 * x[:, 0],
+                0.0 * x[:, 0],
+            ],
+            1,
+        )
+
+    terms = {"u1": {"x2": 1.0, "x2^3": 0.125, "x2*x3^2": -0.375}}
+    body, times = qs.Body(0.2), [1.0, 3.0]
+    found = body.integrate(qs.flow("user", function=shear), times, orientation=AXIS)
+    named = body.integrate(qs.flow("polynomial", coefficients=terms), times, orientation=AXIS)
+    assert np.array_equal(found.axis, named.axis)
+    assert found.summary["recognised"].startswith("a polynomial of degree 3")
+    whole = qs.flow("user", function=shear, recognise=False)
+    plain = body.integrate(whole, times, orientation=AXIS)
+    assert "recognised" not in plain.summary
+    assert np.abs(plain.axis - named.axis).max() < 1e-9
+
+
+def test_a_polynomial_of_every_instant_is_recognised() -> None:
+    def oscillating(x: Any, t: float) -> Any:
+        return np.stack(
+            [np.cos(t) * x[:, 1] + np.sin(t) * x[:, 1] ** 2, 0.0 * x[:, 0], 0.1 + 0.0 * x[:, 0]], 1
+        )
+
+    motions = [
+        qs.Body(0.2).integrate(
+            qs.flow("user", function=oscillating, recognise=recognise),
+            [3.0],
+            position=[0.0, 0.5, 0.0],
+            orientation=axes,
+            tolerance=1e-8,
+        )
+        for recognise, axes in ((True, AXIS), (False, AXIS), (True, [AXIS] * 9))
+    ]
+    assert "of degree 2 at every instant" in motions[0].summary["recognised"]
+    for motion in motions[1:]:
+        assert np.abs(motion.axis[..., -1, :] - motions[0].axis[-1]).max() < 1e-7
+        assert np.abs(motion.position[..., -1, :] - motions[0].position[-1]).max() < 1e-7
+
+
+def test_what_is_a_polynomial_only_where_it_was_tried_ends_the_run() -> None:
+    def clipped(x: Any) -> Any:
+        return np.stack(
+            [np.where(x[:, 0] < 500.0, 100.0 + x[:, 1], 0.0), 0.0 * x[:, 0], 0.0 * x[:, 0]], 1
+        )
+
+    def late(x: Any, t: float) -> Any:
+        w = x[:, 1] + max(0.0, t - 35.0) * x[:, 1] ** 4
+        return np.stack([w, 0.0 * w, 0.0 * w], 1)
+
+    def wave(x: Any) -> Any:
+        return np.stack([np.sin(x[:, 1] / 500.0), 0.0 * x[:, 0], 0.0 * x[:, 0]], 1)
+
+    for function, end in ((clipped, 10.0), (late, 40.0)):
+        with pytest.raises(ConvergenceError, match="recognise: false"):
+            qs.Body(0.5).integrate(qs.flow("user", function=function), [end], tolerance=1e-6)
+    assert recognised(qs.flow("user", function=wave)) is None
 
 
 ROLLS = """

@@ -37,6 +37,7 @@ class Flow(ABC):
 
     type_name: ClassVar[str] = ""
     length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
+    recognise: bool = True  # as a polynomial, where a function is one (`flows.recognition`)
     spacing: float = math.inf  # of instants between which the flow changes smoothly
 
     @abstractmethod
@@ -231,6 +232,7 @@ class SumFlow(Flow):
         self.terms = tuple(terms)
         self.length = min(flow.length for flow in self.terms)
         self.spacing = min(flow.spacing for flow in self.terms)
+        self.recognise = all(flow.recognise for flow in self.terms)
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:

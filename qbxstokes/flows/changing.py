@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.series import GradientSeries, series_of_file
 from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.user import load_function
@@ -41,6 +42,7 @@ class LinearInTime(Transformable):
     """
 
     type_name = "linear"
+    rows = slice(7, 16)  # of its numbers among those of a flow (`motion.taylor`)
 
     def __init__(self, gradient: Any, spec: Mapping[str, Any] | None = None) -> None:
         self._spec = None if spec is None else dict(spec)
@@ -115,6 +117,10 @@ class LinearInTime(Transformable):
                 ("gradient",),
             )
         return settled(matrix, traceless(matrix), "the gradients must have no trace (div u = 0)")
+
+    def frozen(self, t: float) -> PolynomialFlow:
+        """The flow of an instant."""
+        return PolynomialFlow(gradient=self.at(t))
 
     def numbers(self, t: float) -> list[float]:
         """The nine numbers of the gradient at time t, by rows; raises FlowError as `at` does."""

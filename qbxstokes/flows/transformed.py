@@ -33,6 +33,7 @@ class TransformedFlow(Flow):
         self.position = tensor(position, "position", (3,))
         self.factor = number(factor, "factor")
         self.length, self.spacing = flow.length, flow.spacing
+        self.recognise = flow.recognise
 
     @classmethod
     def keys(cls) -> dict[str, Any]:

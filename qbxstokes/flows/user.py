@@ -48,7 +48,8 @@ class UserFlow(Transformable):
     f(x, y, z), or f(x, y, z, t), and its parameters after these, with three numbers returned; numba
     compiles it into the loops over the body's surface. breaks: instants at which it is not smooth.
     gradient, hessian: functions of the same arguments, (n, i, j) = d_j u_i and (n, i, j, k) = d_j
-    d_k u_i, for bodies that are moved by derivatives at their centres.
+    d_k u_i, for bodies that are moved by derivatives at their centres. recognise: whether to try if
+    it is a polynomial of degree three or less.
     """
 
     type_name = "user"
@@ -64,6 +65,7 @@ class UserFlow(Transformable):
         breaks: ArrayLike | None = None,
         gradient: str | Callable[..., Any] | None = None,
         hessian: str | Callable[..., Any] | None = None,
+        recognise: bool = True,
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
@@ -83,6 +85,7 @@ class UserFlow(Transformable):
             shape = (len(np.atleast_2d(singular_points)), 3)
             self._singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
         self.compiled, self.point_function = compiled, None
+        self.recognise = recognise
         if compiled:
             from qbxstokes.flows.compiled import compiled_function, field_of
 
@@ -236,6 +239,7 @@ class UserFlow(Transformable):
             **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
             **({"compiled": True} if self.compiled else {}),
             **{name: self._given[name] for name in self._given},
+            **({} if self.recognise else {"recognise": False}),
             **({"breaks": self._breaks.tolist()} if len(self._breaks) else {}),
         }
 

@@ -34,7 +34,6 @@ from qbxstokes.motion.layout import N_MASSLESS, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
 from qbxstokes.motion.pieces import Inertia, Pieces
-from qbxstokes.motion.taylor import GRADIENT
 from qbxstokes.motion.tracing import specialise
 
 __all__ = ["Constraints", "Inertia", "Loads", "RigidBodyEquations"]
@@ -167,11 +166,13 @@ class RigidBodyEquations(Pieces):
         block = self._block()
         run = compiled_loops(block.kernels, block.degree, self.massless).by_name[loop]
         flow, body, rates, follow = block.flow, block.body, block.rates, block.follow
+        changing = self._changing
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads.at(t)
-            if self._changing:
-                _put(flow, self._gradient_at(t))
+            if changing is not None:
+                for row, value in enumerate(self._numbers_at(t), changing.start):
+                    flow[row] = value
             run(y, out, flow, body, loads, rates, follow, *more)
 
         return function
@@ -232,12 +233,13 @@ class RigidBodyEquations(Pieces):
 
         bodies = self.bodies
 
-        n_gradient = 9 if self._changing else 0
+        rows_in_time = self._changing
+        n_changing = 0 if rows_in_time is None else rows_in_time.stop - rows_in_time.start
         after_loads = 12 * handed
 
         def equations(rows: Any, more: Any) -> Any:
             pushes = tuple(more[:12]) if handed else loads
-            flow = self._flow_at(more[after_loads + n_rates :]) if n_gradient else self._flow
+            flow = self._flow_at(more[after_loads + n_rates :]) if n_changing else self._flow
             arguments = rows, flow, bodies.law, bodies.mobility, pushes
             if self.massless:
                 return bodies.kernels.massless(*arguments)
@@ -245,8 +247,8 @@ class RigidBodyEquations(Pieces):
             return bodies.kernels.inertial(*arguments, relaxation, bodies.gyration, self._follow)
 
         if self._flows.shared and bodies.models.shared:
-            kernel = specialise(equations, self.n_state, after_loads + n_rates + n_gradient)
-            if not (handed or n_rates or n_gradient):
+            kernel = specialise(equations, self.n_state, after_loads + n_rates + n_changing)
+            if not (handed or n_rates or n_changing):
                 return kernel
         else:
 
@@ -255,8 +257,8 @@ class RigidBodyEquations(Pieces):
 
         def with_numbers(t: float, rows: Any) -> Any:
             forces = self._rows(given.at(t)) if given is not None and handed else ()
-            gradient = self._gradient_at(t) if n_gradient else ()
-            return kernel(t, rows, (*forces, *(rates if n_rates else ()), *gradient))
+            changing = self._numbers_at(t) if n_changing else ()
+            return kernel(t, rows, (*forces, *(rates if n_rates else ()), *changing))
 
         return with_numbers
 
@@ -270,9 +272,3 @@ class RigidBodyEquations(Pieces):
             columns = [np.broadcast_arrays(*column) for column in columns]
         values = np.array(columns).imag.reshape(len(columns), self.n_state, self.n_lanes)
         return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / STEP)
-
-
-def _put(flow: Array, gradient: list[Any]) -> None:
-    """The numbers of a gradient into the table of a flow, (m,) or (m, n_lanes)."""
-    for row, value in enumerate(gradient, GRADIENT.start):
-        flow[row] = value

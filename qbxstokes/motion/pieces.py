@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.changing import LinearInTime
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import frames
@@ -33,7 +32,7 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
-from qbxstokes.motion.taylor import GRADIENT, pack_flow, unpack_flow
+from qbxstokes.motion.taylor import IN_TIME, pack_flow, unpack_flow
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
@@ -96,10 +95,12 @@ class Pieces:
         self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
-        kinds = (PolynomialFlow, LinearInTime)
+        kinds = (PolynomialFlow, *IN_TIME)
         polynomial = {isinstance(entry, kinds) for entry in self._flows.distinct}
-        # Of linear flows that change, the gradient in the table is that of the last instant.
-        self._changing = any(isinstance(entry, LinearInTime) for entry in self._flows.distinct)
+        # Rows of the table that change in time: they are those of the last instant.
+        parts = [entry.rows for entry in self._flows.distinct if isinstance(entry, IN_TIME)]
+        ends = [part.start for part in parts], [part.stop for part in parts]
+        self._changing = slice(min(ends[0]), max(ends[1])) if parts else None
         if polynomial == {True}:
             self._table = self._flows.table(pack_flow)
             self._degree = int(np.max(self._table[0]))
@@ -174,28 +175,32 @@ class Pieces:
         value = vectors(t) if callable(vectors) else vectors
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.n_lanes, 3))
 
-    def _gradient_at(self, t: float) -> list[Any]:
-        """The nine numbers of a gradient that changes, by rows; rows each for lanes that differ."""
+    def _numbers_at(self, t: float) -> list[Any]:
+        """The numbers of the flow that change; rows each for lanes that differ."""
         if self._flows.shared:
             found: list[Any] = self._flows.only.numbers(t)
             return found
         assert self._table is not None
-        gradient = self._table[GRADIENT]
         for flow, lanes in self._flows.groups():
-            if isinstance(flow, LinearInTime):
-                gradient[:, lanes] = np.reshape(flow.numbers(t), (9, 1))
-        return list(gradient)
+            if isinstance(flow, IN_TIME):
+                self._table[flow.rows, lanes] = np.reshape(flow.numbers(t), (-1, 1))
+        return list(self._table[self._changing])
 
-    def _flow_at(self, gradient: Any) -> Any:
-        """The flow as the kernels take it, with another gradient."""
+    def _flow_at(self, numbers: Any) -> Any:
+        """The flow as the kernels take it, with other numbers where they change."""
         degree, velocity, _, second, third, origin = self._flow
-        return degree, velocity, tuple(gradient), second, third, origin
+        assert self._changing is not None
+        if self._changing.start > 4:
+            return degree, velocity, tuple(numbers), second, third, origin
+        second = tuple(numbers[12:30]) if degree > 1 else second
+        third = tuple(numbers[30:60]) if degree > 2 else third
+        return degree, tuple(numbers[:3]), tuple(numbers[3:12]), second, third, origin
 
     def _free(self, t: float, rows: Any) -> Any:
         """Free motion, six numbers or rows."""
         if self._table is not None:
             kernels, law = self.bodies.kernels, self.bodies.law
-            flow = self._flow_at(self._gradient_at(t)) if self._changing else self._flow
+            flow = self._flow_at(self._numbers_at(t)) if self._changing else self._flow
             return kernels.free(rows, flow, law)
         assert self._provider is not None
         y = np.stack([np.atleast_1d(row) for row in rows[:N_MASSLESS]], axis=-1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.flows.changing import LinearInTime
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.recognition import PAIRS, TRIPLES, PolynomialInTime
 
 # float, complex or a NumPy row of either; numba infers its own types.
 Scalar = Any
@@ -25,13 +26,9 @@ Array = NDArray[np.float64]
 # Numbers of a flow, and how many of them the kernels of a degree read.
 N_FLOW = 64
 ROWS = {1: 16, 2: 34, 3: 64}
-GRADIENT = slice(7, 16)
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_TRIPLES = (
-    *((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 1, 1), (0, 1, 2)),
-    *((0, 2, 2), (1, 1, 1), (1, 1, 2), (1, 2, 2), (2, 2, 2)),
-)
+# Flows whose numbers change in time; those that do are `rows` of them.
+IN_TIME = LinearInTime, PolynomialInTime
 
 
 def three(t: Any, i: int) -> Vector:
@@ -152,20 +149,20 @@ def add_third(x: Any, velocity: Any, gradient: Any, second: Any, n: Any) -> Any:
 
 def pack_second(second: Array) -> Array:
     """Second derivatives (..., i, j, k) = d_j d_k u_i as the kernels take them, (..., 18)."""
-    rows, columns = np.array(_PAIRS).T
+    rows, columns = np.array(PAIRS).T
     return second[..., rows, columns].reshape(*second.shape[:-3], 18)
 
 
-def pack_flow(flow: PolynomialFlow | LinearInTime) -> Array:
+def pack_flow(flow: PolynomialFlow | LinearInTime | PolynomialInTime) -> Array:
     """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`).
 
     One that changes is taken at t = 0.
     """
-    if isinstance(flow, LinearInTime):
-        flow = PolynomialFlow(gradient=flow.at(0.0))
-    second = pack_second(flow.hessian)
-    third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in _TRIPLES]
     degree = [max(flow.degree or 0, 1)]
+    if not isinstance(flow, PolynomialFlow):
+        flow = flow.frozen(0.0)
+    second = pack_second(flow.hessian)
+    third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in TRIPLES]
     parts = degree, flow.origin, flow.value, flow.gradient_tensor.ravel(), second, third
     return np.concatenate(parts)
 

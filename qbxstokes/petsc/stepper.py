@@ -77,6 +77,7 @@ def integrate(
     longest_step: float | None = None,
     breaks: ArrayLike = (),
     until: Callable[[float], None] | None = None,
+    accept: Callable[[float, Array], None] | None = None,
     comm: Any = PETSc.COMM_SELF,
 ) -> Trajectory:
     """States at increasing `times` of the motion that starts from `start` at t0.
@@ -95,6 +96,7 @@ def integrate(
     breaks: instants at which the equations are not smooth in time: steps end there, and begin
     afresh. until is called with the one that a step may reach, inf where all is known again; up to
     it, the equations are to be those before it.
+    accept is called with instant and states of every step's end, and may raise what ends the run.
     comm: of one process, PETSc's own.
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
@@ -110,7 +112,7 @@ def integrate(
     ends = np.asarray(breaks, dtype=np.float64)
     bound = longest_step, len(ends)
     system = System(equations, checkpoint, end, count, tolerance, method, prefix, *bound, comm)
-    run = Run(system, checkpoint, instants, ends, until)
+    run = Run(system, checkpoint, instants, ends, until, accept)
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -140,8 +142,9 @@ class Run:
         times: Array,
         breaks: Array,
         until: Callable[[float], None] | None,
+        accept: Callable[[float, Array], None] | None,
     ) -> None:
-        self._breaks, self._until = breaks, until
+        self._breaks, self._until, self._accept = breaks, until, accept
         self._system, self.equations = system, system.equations
         self.checkpoint, self.times = checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
@@ -287,6 +290,8 @@ class Run:
                 raise self._failed("", NO_VALUE)
             ts.setTimeStep(0.25 * length)
             ts.restartStep()
+        if self._accept is not None:
+            self._accept(ts.getTime(), self._system.read(self._vector))
         if self._monitored:
             ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
 

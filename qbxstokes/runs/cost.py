@@ -113,7 +113,7 @@ def forecast(scene: Simulation, times: Array, stokes_number: float) -> float:
 
 def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
     """The body by closed forms, and the flow about the start."""
-    flow, place = scene.flow, scene.position[0]
+    flow, place = scene.carrier, scene.position[0]
     near = flow.polynomial or PolynomialFlow(
         flow.velocity(place), flow.gradient(place), origin=place
     )

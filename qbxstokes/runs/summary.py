@@ -217,6 +217,8 @@ def _formed(summary: dict[str, Any]) -> Rows:
     if "neglected" in hydro:
         told = ", ".join(f"{value:.1g}" for value in hydro["neglected"])
         yield "neglected", f"beyond the derivatives, U/(c |grad u|), Omega/|grad u|: {told}"
+    if "recognised" in hydro:
+        yield "flow", f"recognised as {hydro['recognised']}"
     if hydro["cache"] == "found":
         yield "", "body model from the cache (--no-cache forms it anew)"
     if hydro.get("error_parts"):

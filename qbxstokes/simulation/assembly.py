@@ -97,8 +97,6 @@ class Assembled:
 
         end = float(times[-1])
         longest = self._longest_step(end)
-        if (observe := settings.get("observe")) is not None:
-            settings["observe"] = self._checked_along(observe)
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS[self.parts[0].kind]}
         if len(self.initial) > 1:  # lanes are kept in memory: a cut would only move their bits
             limits = {
@@ -113,6 +111,7 @@ class Assembled:
             longest_step=longest,
             breaks=self._breaks(end),
             until=self._until,
+            accept=self._accept(),
             **{**limits, **settings},
         )
 
@@ -124,6 +123,32 @@ class Assembled:
     def _until(self, t: float) -> None:
         for part in self.parts:
             part.flow.until(t)
+
+    def _accept(self) -> Callable[[float, Array], None] | None:
+        """What looks at users' functions where a step has ended; None where there are none.
+
+        Those that were recognised are held against their flows, and the others are to be Stokesian:
+        around one lane after another, every so many steps.
+        """
+        users = [
+            (part, lanes)
+            for part, lanes in zip(self.parts, self.slices(), strict=True)
+            if not part.flow.singular_points_known
+        ]
+        count = 0
+
+        def accept(t: float, states: Array) -> None:
+            nonlocal count
+            count += 1
+            looked, step = divmod(count, _STEPS_BETWEEN_CHECKS)
+            for part, lanes in users:
+                places = states[lanes, POSITION]
+                if part.recognised is not None:
+                    part.recognised.check(t, places, part.body.shape.radius)
+                if step == 0 or part.recognised is not None:
+                    _check_stokesian(part, places[looked % len(places)], t)
+
+        return accept if users else None
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.
@@ -138,22 +163,6 @@ class Assembled:
                     _check_stokesian(part, part.position[0], float(t))
         spacings = [part.flow.spacing for part in self.parts]
         return float(min(end / _STEPS_IN_TIME, *spacings))
-
-    def _checked_along(self, observe: Callable[[Any], float | None]) -> Any:
-        """The observer of one lane, which looks at a user's flow where the body comes to."""
-        part, count = self.parts[0], 0
-        if part.flow.singular_points_known:
-            return observe
-
-        def watch(step: Any) -> float | None:
-            nonlocal count
-            count += 1
-            halt = observe(step)
-            if halt is None and count % _STEPS_BETWEEN_CHECKS == 0:
-                _check_stokesian(part, step.end[0, POSITION], step.after)
-            return halt
-
-        return watch
 
     def steps_of(self, work: float) -> int:
         """Steps of all lanes that are about so many seconds of work, from 1 to 10,000."""
@@ -261,10 +270,13 @@ def assemble(
             part.check()
     if maker is None:
         formed = tuple(
-            part.body.hydrodynamics_in(part.flow, part.need(pushed), workshop) for part in parts
+            part.body.hydrodynamics_in(part.carrier, part.need(pushed), workshop) for part in parts
         )
     else:
         formed = tuple(maker(part, workshop) for part in parts)
+    for part, one in zip(parts, formed, strict=True):
+        if part.recognised is not None:
+            one.facts["recognised"] = part.recognised.told
     first = parts[0]
     counts = [len(part) for part in parts]
     models: Any = formed[0].model
@@ -318,8 +330,12 @@ def _check_stokesian(part: Simulation, place: Array, t: float) -> None:
 
     A function that fails is left to the equations, which tell when and where they needed it.
     """
+    radius = 2.0 * part.body.shape.radius
     try:
-        check_stokesian(part.flow, place, radius=2.0 * part.body.shape.radius, t=t)
+        if part.recognised is None:
+            check_stokesian(part.flow, place, radius=radius, t=t)
+        else:
+            part.recognised.require_stokesian(t, radius)
     except FlowFunctionError:
         return
     except FlowError as error:

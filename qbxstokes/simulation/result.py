@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.lanes import LaneRun
 
 Array = NDArray[np.float64]
+# What a summary tells of a flow.
+_FLOW = ("neglected", "recognised")
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,7 +83,7 @@ class Motion:
                 key=lambda error: error["total"],
             ),
             "model_error_estimate": max(h.model.error_estimate for h in assembled.hydrodynamics),
-            **{k: v for k, v in assembled.hydrodynamics[0].report().items() if k == "neglected"},
+            **{k: v for k, v in assembled.hydrodynamics[0].report().items() if k in _FLOW},
             **({} if watch is None else {"events": events_summary(watch)}),
         }
         if run is not None and run.ended:

@@ -18,6 +18,7 @@ from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.flows.domain import outside
+from qbxstokes.flows.recognition import Recognition, recognised
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
@@ -191,8 +192,22 @@ class Simulation:
         """How the free motion is found: by "table", on the "grid", or solved at "every_step"."""
         if self.body.settings.solve == "every_step":
             return "every_step"
-        degree = self.flow.degree
+        degree = self.carrier.degree
         return "table" if degree is not None and degree <= 3 else "grid"
+
+    @cached_property
+    def recognised(self) -> Recognition | None:
+        """What a function of the user's is found to be, where that is a polynomial."""
+        flow, settings = self.flow, self.body.settings
+        function = flow.degree is None and not flow.singular_points_known and flow.recognise
+        if not function or settings.derivatives or settings.solve == "every_step":
+            return None
+        return recognised(flow)
+
+    @property
+    def carrier(self) -> Any:
+        """The flow that moves the body: the polynomial that a function was found to be."""
+        return self.flow if self.recognised is None else self.recognised.flow
 
     def need(self, pushed: bool = False) -> Need:
         """What is asked of the hydrodynamics; pushed: with the resistance in any case."""
