@@ -103,7 +103,9 @@ def test_a_flow_that_ends_ends_the_run_in_one_line(
 def test_a_run_stopped_within_its_first_steps_leaves_nothing(
     run_process: Run, write_case: WriteCase, tmp_path: Path
 ) -> None:
-    write_case(user_case("stopping"))
+    case = user_case("stopping")
+    case["flow"]["recognise"] = False  # which would ask at t > 0 before the run
+    write_case(case)
     done = run_process("case.yaml", "--quiet")
     assert done.returncode == 130, done.stderr
     assert "no result was written, start again" in done.stderr

@@ -99,8 +99,8 @@ class Pieces:
         polynomial = {isinstance(entry, kinds) for entry in self._flows.distinct}
         # Rows of the table that change in time: they are those of the last instant.
         parts = [entry.rows for entry in self._flows.distinct if isinstance(entry, IN_TIME)]
-        ends = [part.start for part in parts], [part.stop for part in parts]
-        self._changing = slice(min(ends[0]), max(ends[1])) if parts else None
+        ends = min((p.start for p in parts), default=0), max((p.stop for p in parts), default=0)
+        self._changing = slice(*ends) if parts else None
         if polynomial == {True}:
             self._table = self._flows.table(pack_flow)
             self._degree = int(np.max(self._table[0]))
@@ -178,8 +178,7 @@ class Pieces:
     def _numbers_at(self, t: float) -> list[Any]:
         """The numbers of the flow that change; rows each for lanes that differ."""
         if self._flows.shared:
-            found: list[Any] = self._flows.only.numbers(t)
-            return found
+            return list(self._flows.only.numbers(t))
         assert self._table is not None
         for flow, lanes in self._flows.groups():
             if isinstance(flow, IN_TIME):
