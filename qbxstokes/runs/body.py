@@ -1,27 +1,36 @@
-"""`task: body`: resistance, law and errors of one body, from its case to the result file."""
+"""`task: body`: resistance, law and errors of a body, or of several, from case to result file."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qbxstokes.quantities import BODY
-from qbxstokes.runs.parallel import on_root
+import numpy as np
+
+from qbxstokes.errors import QbxStokesError
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import components
+from qbxstokes.quantities import BODY, COUPLED
+from qbxstokes.runs.parallel import agree, on_root
 from qbxstokes.runs.shared_rows import RowTeam, with_team
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.law import Law, form_law
 from qbxstokes.simulation.stresses import form_stresslet
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
+    from qbxstokes.simulation.coupled import CoupledSimulation
 
 
 def run_body(job: Job) -> dict[str, Any]:
-    """Compute a single body and write its result; returns the summary.
+    """Compute a body, or bodies that share a fluid, and write the result; returns the summary.
 
-    Rank 0 computes, so that any number of ranks gives the numbers of one; all form the rows.
+    Of one body rank 0 computes, so that any number of ranks gives its numbers; all form the rows.
     """
+    if job.loaded.case.coupled:
+        return _of_several(job)
 
     def compute(team: RowTeam) -> dict[str, Any]:
         return _computed(job, Workshop(team))
@@ -55,3 +64,60 @@ def _computed(job: Job, workshop: Workshop) -> dict[str, Any]:
         "largest_error": compared.largest,
     }
     return {**arrays, **job.write(found, arrays, BODY)}
+
+
+def _of_several(job: Job) -> dict[str, Any]:
+    """Resistance and, where a flow or loads drive them, motion of the bodies; the summary.
+
+    The bodies are dealt to the ranks (`petsc.coupled`), which all go through the same solves.
+    """
+    from qbxstokes.petsc.coupled import over
+    from qbxstokes.simulation.from_bodies import coupled_of
+
+    loaded, comm = job.loaded, job.comm
+    failure: QbxStokesError | None = None
+    arrays: dict[str, Array] = {}
+    summary: dict[str, Any] = {}
+    try:
+        with job.clock.part("bodies"), pointed(loaded):
+            arrays, summary = computed(coupled_of(loaded, over(comm)))
+    except QbxStokesError as error:
+        failure = error
+    agree(comm, failure)
+
+    return on_root(comm, lambda: {**arrays, **job.write(summary, arrays, COUPLED)})
+
+
+def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]]:
+    """What bodies do at the start: arrays by name, and what is told of them."""
+    suspension, x, q = scene.suspension, scene.position, scene.quaternion
+    resistance, error = suspension.resistance_and_error(x, q)
+    arrays = {
+        "position": x,
+        "axis": rotation.axis(q),
+        "resistance": resistance,
+        "mobility": np.linalg.inv(resistance),
+    }
+    errors = {"resistance": error}
+    gap, who = scene.closest(scene.places)
+    summary: dict[str, Any] = {"gap": gap, "nearest": who}
+    free = scene.solved("free", 0.0, x, q)
+    if any(part is not None for part in (scene.flow, scene.loads, scene.repulsion)):
+        arrays |= {"free_velocity": free.velocity, "free_angular_velocity": free.angular_velocity}
+        arrays["stresslet"] = components(free.stresslet)
+        names = {"velocity": "free_velocity", "angular_velocity": "free_angular_velocity"}
+        told = free.error_estimate
+        errors |= {names.get(n, n): told[n] for n in (*names, "stresslet")}
+    if scene.flow is not None:
+        held = suspension.held(scene.flow, x, q)
+        arrays |= {"held_force": -held.force, "held_torque": -held.torque}
+        errors |= {f"held_{name}": held.error_estimate[name] for name in ("force", "torque")}
+    if not scene.several:
+        one = ("resistance", "mobility")
+        arrays = {name: a if name in one else a[0] for name, a in arrays.items()}
+    summary |= {
+        "nodes": free.nodes,
+        "iterations": free.iterations,
+        "error_estimates": errors,
+    }
+    return arrays, summary

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -189,20 +190,9 @@ def carry_out(job: Job) -> int:
     job.start()
     if job.tells_plan(planned):
         return 0
-    run: Callable[[Job], dict[str, Any]]
+    task = loaded.case.task
     with job.clock.part("import"):
-        if loaded.case.task == "field":
-            from qbxstokes.runs.field import run_field as run
-        elif loaded.case.coupled and loaded.case.task == "motion":
-            from qbxstokes.runs.coupled_motion import run_motion as run
-        elif loaded.case.coupled:
-            from qbxstokes.runs.coupled import run_coupled as run
-        elif loaded.case.task == "body":
-            from qbxstokes.runs.body import run_body as run
-        elif loaded.case.task == "rheology":
-            from qbxstokes.runs.rheology import run_rheology as run
-        else:
-            from qbxstokes.runs.motion import run_motion as run
+        run = getattr(import_module(f"qbxstokes.runs.{task}"), f"run_{task}")
     summary = run(job)
     if "finished_before" in summary:
         job.tell(summary, lambda: f"{summary['result']}: finished already, nothing to resume")

@@ -25,7 +25,7 @@ from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
 from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
-from qbxstokes.runs.shared_rows import ALONE, RowTeam
+from qbxstokes.runs.shared_rows import RowTeam
 from qbxstokes.simulation.flow_around import Instant
 
 if TYPE_CHECKING:
@@ -105,21 +105,21 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
 
 def field_of_motion(
     job: Job,
-    times: Array,
     samples: Mapping[str, Array],
     writer: ResultWriter,
     assembled: Any,
-    team: RowTeam | None,
+    team: RowTeam,
     folder: Work,
 ) -> dict[str, Any]:
     """The field at the chosen instants of a motion, into its open result file; for rank 0.
 
-    samples: quantities (T, ...) at the times (T,). team: the other ranks, which
-    take part by `help_with_field`.
+    samples: `time` (T,) and quantities (T, ...). team: the other ranks, which take part by
+    `help_with_field`.
     """
     loaded, section, time = job.loaded, job.loaded.case.field, job.loaded.case.time
     assert section is not None
     assert time is not None
+    times = samples["time"]
     instants = [
         Instant(
             float(times[index]),
@@ -131,7 +131,7 @@ def field_of_motion(
         for index in chosen_instants(loaded, times)
     ]
     key = json.dumps(plain(section))
-    comm = ALONE if team is None else team.join(FIELD, instants, folder.joined(0), key)
+    comm = team.join(FIELD, instants, folder.joined(0), key)
     work = FieldWork(job, comm, instants, folder, key)
     facts = work.write(writer)
     if section.tracers is not None:

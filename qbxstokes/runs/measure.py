@@ -22,8 +22,9 @@ from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, summarise
-from qbxstokes.runs.coupled_sweep import fill
-from qbxstokes.runs.plan import make_plan, plan_body
+from qbxstokes.runs.body import computed
+from qbxstokes.runs.plan import CoupledPlan, make_plan, plan_body, plan_coupled
+from qbxstokes.runs.sweep_layout import DRIVEN, columns_of_bodies
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.compare import Comparison, compare_samples
@@ -77,7 +78,7 @@ class Measurer:
             swept = [str(c.key[1]) for _, c in scenes.space.columns if c.key[0] == "petsc"]
             with own_options({name: loaded.case.petsc[name] for name in swept}):
                 if loaded.case.coupled:
-                    found = fill(loaded, result)
+                    found = _of_several(loaded, result)
                 elif loaded.case.task == "body":
                     found = self._body(loaded)
                 else:
@@ -178,3 +179,44 @@ def _error(loaded: LoadedCase, compared: Callable[[], Comparison]) -> float:
         return np.nan
     comparison = compared()
     return comparison.largest if set(comparison.errors) - {"resistance"} else np.nan
+
+
+def _of_several(loaded: LoadedCase, result: BlockResult) -> dict[str, Any]:
+    """Compute bodies that share a fluid; returns their columns, fills in samples of a motion."""
+    begin, plan = time.perf_counter(), plan_coupled(loaded)
+    bodies = len(loaded.case.members) if loaded.case.bodies is not None else 0
+    if not isinstance(plan, CoupledPlan):
+        scene: Any = plan.simulation
+        arrays, summary = computed(scene)
+        found = {
+            "gap": summary["gap"],
+            "iterations": summary["iterations"],
+            "error_estimate": summary["error_estimates"]["resistance"],
+        }
+        vectors = {name: arrays[name] for name in DRIVEN if name in arrays}
+    else:
+        result.times = times = plan.times
+        motion = plan.simulation.integrate(times)
+        told = motion.summary
+        if told["events"].get("ended_by"):
+            result.endings[0] = f"{motion.ended_by} at t = {motion.time[-1]:.6g}: {motion.message}"
+        whole = int(np.searchsorted(times, motion.time[-1], "right"))
+        for name, array in result.quantities.items():
+            values = motion.stresslet6 if name == "stresslet" else getattr(motion, name)
+            array[0, :whole] = values[:whole]
+        result.steps, result.evaluations = told["steps"], told["rhs_evaluations"]
+        found = {
+            "gap": float(motion.gap.min()),
+            "end": float(motion.time[-1]),
+            "steps": told["steps"],
+            "rhs_evaluations": told["rhs_evaluations"],
+            "iterations": told["iterations"],
+            "error_estimate": told["velocity_errors"]["velocity"],
+        }
+        vectors = {"final_position": motion.position[-1], "final_axis": motion.axis[-1]}
+    for name, values in vectors.items():
+        names = columns_of_bodies(name, bodies)
+        found |= dict(zip(names, np.ravel(values).tolist(), strict=True))
+    if not np.isfinite(found["error_estimate"]):
+        raise ConvergenceError("the result is not finite")
+    return {**found, "wall_time": time.perf_counter() - begin}

@@ -1,4 +1,8 @@
-"""`task: motion`: one body, from its hydrodynamics to the result file."""
+"""`task: motion`: of one body, or of several that share the fluid, from case to result file.
+
+Rank 0 integrates. Of one body the other ranks form rows of the operators, of several they take part
+in every problem that rank 0 poses; and all share the field.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.errors import ConvergenceError, Interrupted
+from qbxstokes.errors import ConvergenceError, Interrupted, QbxStokesError
 from qbxstokes.io.cache import open_cache
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc import session
@@ -28,13 +32,15 @@ if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
 
+_BODIES = "bodies"  # the service of the other ranks to several bodies
+
+
 def run_motion(job: Job) -> dict[str, Any]:
-    """Carry out `task: motion` of a single trajectory; returns the summary.
+    """Carry out `task: motion` on all ranks; returns the summary.
 
     A single trajectory has nothing to share out: rank 0 computes it, so that any number of ranks
-    gives the numbers of one. Only the rows of the operators are formed by all, and its field.
+    gives the numbers of one.
     """
-    comm, loaded = job.comm, job.loaded
 
     def help_with_field(*arguments: Any) -> None:
         from qbxstokes.runs import field
@@ -42,41 +48,36 @@ def run_motion(job: Job) -> dict[str, Any]:
         field.help_with_field(job, *arguments)
 
     def compute(team: RowTeam) -> dict[str, Any]:
-        # Options of the solver want to be seen at work.
-        off = job.options.no_cache or bool(session.solver_options(job.PETSc))
-        workshop = Workshop(team, open_cache(loaded.case.hydrodynamics.cache, off))
-        return recorded(job, lambda recording: _computed(job, recording, workshop, team))
+        options = session.stepper_options(job.PETSc)
+        recording = Recording(job.loaded, job.plan, options, job.options.resume, job.overwrite)
+        if recording.finished is not None:
+            return {"result": str(recording.finished), "finished_before": True}
+        follow = _of_several if job.loaded.case.coupled else _of_one
+        try:
+            return follow(job, recording, team)
+        finally:
+            recording.close()
 
-    job.interruption.patient = comm.rank != 0
-    return on_root(comm, with_team(comm, compute, {"field": help_with_field}))
-
-
-def recorded(job: Job, follow: Callable[[Recording], dict[str, Any]]) -> dict[str, Any]:
-    """What `follow` makes of a motion, unless an earlier run has finished it."""
-    options = session.stepper_options(job.PETSc)
-    recording = Recording(job.loaded, job.plan, options, job.options.resume, job.overwrite)
-    if recording.finished is not None:
-        return {"result": str(recording.finished), "finished_before": True}
-    try:
-        return follow(recording)
-    finally:
-        recording.close()
+    job.interruption.patient = job.comm.rank != 0
+    services = {"field": help_with_field, _BODIES: lambda: _help_with_bodies(job)}
+    return on_root(job.comm, with_team(job.comm, compute, services))
 
 
-def followed(
+def _followed(
     job: Job,
     recording: Recording,
+    team: RowTeam,
     assembled: Any,
     watch: Any,
     facts: Callable[[Trajectory], dict[str, Any]],
-    conclude: Callable[[dict[str, Any], Mapping[str, Any], ResultWriter], None],
+    conclude: Callable[[dict[str, Any], Mapping[str, Any]], None],
 ) -> dict[str, Any]:
     """Follow a motion on this process, write its result file, and return the summary.
 
     watch: for events. facts: what the summary says of the computation. conclude: adds to the
-    summary and to the file what follows from the samples. Raises Interrupted where a signal asks
-    for it, after what there is has been written and made safe, and ConvergenceError where the
-    motion cannot be followed further, likewise.
+    summary what follows from the samples, before all ranks turn to the field. Raises Interrupted
+    where a signal asks for it, after what there is has been written and made safe, and
+    ConvergenceError where the motion cannot be followed further, likewise.
     """
     case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
     with clock.part("motion"):
@@ -119,7 +120,13 @@ def followed(
             for name in ("position", "orientation", "axis"):
                 summary[f"final_{name}"] = samples[name][-1]
             summary["end"] = float(samples["time"][-1])
-        conclude(summary, samples, writer)
+        conclude(summary, samples)
+        if case.field is not None and summary["complete"]:
+            from qbxstokes.runs.field import export_field, field_of_motion
+
+            work = recording.work
+            summary["field"] = field_of_motion(job, samples, writer, assembled, team, work)
+            summary["field"]["files"] = export_field(job.loaded, clock, writer.file, work)
         with clock.part("output"):
             summary["wall_times"] = dict(clock.parts)
             summary["result"] = str(writer.finish(summary))
@@ -135,13 +142,12 @@ def followed(
     return summary
 
 
-def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam) -> dict[str, Any]:
-    """The motion of a single body; returns the summary.
-
-    workshop: who shares the set-up, and where operators are kept. team: the ranks that share the
-    field.
-    """
+def _of_one(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
+    """The motion of a single body; returns the summary."""
     loaded, case, clock = job.loaded, job.loaded.case, job.clock
+    # Options of the solver want to be seen at work.
+    off = job.options.no_cache or bool(session.solver_options(job.PETSc))
+    workshop = Workshop(team, open_cache(case.hydrodynamics.cache, off))
     with clock.part("set-up"), pointed(loaded):
         assembled = job.plan.simulation.assemble(workshop, checked=True)
         events = assembled.watch()
@@ -161,8 +167,7 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
             )[0],
         }
 
-    def conclude(summary: dict[str, Any], samples: Mapping[str, Any], writer: ResultWriter) -> None:
-        """Comparison and field."""
+    def conclude(summary: dict[str, Any], samples: Mapping[str, Any]) -> None:
         times = samples["time"]
         conserved = not (case.body.stokes_number or case.forces.given or case.constraints.given)
         if conserved and shear_rate(loaded.flow) is not None:
@@ -180,15 +185,62 @@ def _computed(job: Job, recording: Recording, workshop: Workshop, team: RowTeam)
         if summary["complete"] and len(times):
             with clock.part("sampling"):
                 summary["sampling"] = left_by_samples(assembled, float(times[-1]))
-        if case.field is not None and summary["complete"]:
-            from qbxstokes.runs.field import export_field, field_of_motion
 
-            summary["field"] = field_of_motion(
-                job, times, samples, writer, assembled, team, recording.work
-            )
-            summary["field"]["files"] = export_field(loaded, clock, writer.file, recording.work)
+    return _followed(job, recording, team, assembled, events, facts, conclude)
 
-    return followed(job, recording, assembled, events, facts, conclude)
+
+def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
+    """The motion of bodies that share the fluid, or of one by a wall; returns the summary."""
+    from qbxstokes.petsc.coupled import over
+    from qbxstokes.simulation import coupled_assembly
+    from qbxstokes.simulation.from_bodies import coupled_of
+
+    scene = coupled_of(job.loaded, over(job.comm))
+    if scene.table is not None:
+        named = job.loaded.case.hydrodynamics.cache
+        scene.table.cache = open_cache(named, job.options.no_cache)
+    shared = team.join(_BODIES)
+    if job.comm.size > 1:
+        scene.herald = shared.bcast
+
+    def dismiss() -> None:
+        """No more problems for the other ranks."""
+        if scene.herald is not None:
+            scene.herald = scene.herald(None)
+
+    try:
+        with job.clock.part("motion"), pointed(job.loaded):
+            assembled = scene.assemble()
+            watch = assembled.watch()
+
+        def facts(trajectory: Trajectory) -> dict[str, Any]:
+            if trajectory.finished:
+                with job.clock.part("error estimate"):
+                    assembled.estimate(trajectory, watch)
+            return {
+                **coupled_assembly.facts(assembled),
+                "events": coupled_assembly.meetings_summary(watch),
+                "errors": {},
+                "largest_error": 0.0,
+            }
+
+        return _followed(job, recording, team, assembled, watch, facts, lambda *_: dismiss())
+    finally:
+        dismiss()
+
+
+def _help_with_bodies(job: Job) -> None:
+    """What the other ranks do for the motion of several bodies."""
+    from qbxstokes.petsc.coupled import over
+    from qbxstokes.simulation.from_bodies import coupled_of
+
+    scene = coupled_of(job.loaded, over(job.comm))
+    while (order := job.comm.bcast(None)) is not None:
+        *problem, motion = order
+        try:
+            scene.solved(*problem, **motion)
+        except QbxStokesError:
+            continue  # rank 0 meets the same, and tells it
 
 
 def relaxation_times(equations: Any) -> dict[str, float]:

@@ -13,14 +13,15 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import column_name
 from qbxstokes.case.values import Key
 from qbxstokes.io.sweep_result import REASON_LENGTH, Layout
-from qbxstokes.quantities import BODY_COLUMNS, PARAMETER, STATUS, Quantity
-from qbxstokes.runs.coupled_sweep import CoupledScenes
-from qbxstokes.runs.plan import plan_body
+from qbxstokes.quantities import BODY_COLUMNS, COUPLED_COLUMNS, PARAMETER, STATUS, Quantity
+from qbxstokes.runs.plan import CoupledPlan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_blocks import Alone, Scenes
 
 Array = NDArray[Any]
 
 _COORDINATE_PIECE = 65_536
+# Vectors of every body that shares a fluid, of `task: body` where something drives them.
+DRIVEN = ("free_velocity", "free_angular_velocity", "held_force", "held_torque")
 
 
 class BodyScenes(Alone):
@@ -41,6 +42,38 @@ class BodyScenes(Alone):
             if moving or not name.startswith(("free_", "held_"))
         }
         self.skips = plan_body(loaded).skips
+
+
+class CoupledScenes(Alone):
+    """All scenes of a sweep over several bodies or a wall."""
+
+    def __init__(self, loaded: LoadedCase) -> None:
+        super().__init__(loaded)
+        assert loaded.case.sweep is not None
+        if loaded.case.sweep.measure is not None:
+            wrong = "has no meaning with a wall or several bodies"
+            raise loaded.error("sweep.measure", wrong, "leave it out")
+        plan = plan_coupled(loaded)
+        self.skips = plan.skips
+        self.bodies = len(loaded.case.members) if loaded.case.bodies is not None else 0
+        moving = loaded.case.task == "motion"
+        self.columns = dict(COUPLED_COLUMNS)
+        for name in ("final_position", "final_axis") if moving else DRIVEN:
+            told = f"{name.replace('_', ' ')}: body, component"
+            for column in columns_of_bodies(name, self.bodies):
+                self.columns[column] = Quantity(column, "", "", told)
+        if isinstance(plan, CoupledPlan):
+            self.nouns, self.samples = ("trajectory", "trajectories"), len(plan.times)
+            if loaded.case.sweep.store == "samples":
+                self.quantities = plan.quantities
+            if not any(column.key[0] == "time" for _, column in self.space.columns):
+                self.common_times = plan.times
+
+
+def columns_of_bodies(name: str, bodies: int) -> list[str]:
+    """Columns of a vector of every body: free_velocity_2_1 of the second; without, of one."""
+    numbers = [f"_{body + 1}" for body in range(bodies)] or [""]
+    return [f"{name}{number}_{part}" for number in numbers for part in (1, 2, 3)]
 
 
 Swept = Scenes | BodyScenes | CoupledScenes
