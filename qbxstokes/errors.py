@@ -111,6 +111,10 @@ class Interrupted(QbxStokesError):
         return self.message
 
 
+class Stopping(QbxStokesError):
+    """A signal asks the run to stop: what is under way is taken back to the last cut."""
+
+
 class OutputError(QbxStokesError):
     """A result could not be written: the disk is full, say."""
 

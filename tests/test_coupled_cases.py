@@ -175,8 +175,8 @@ def test_a_repulsion_is_the_slope_of_its_potential_and_holds_bodies_apart() -> N
     q = rotation.from_axis(np.array([[0.6, 0.0, 0.8], [0.2, 0.3, 1.0]]))
 
     def energy(x: np.ndarray, q: np.ndarray) -> float:
-        gaps = [gap.gap for gap, _, _ in gaps_of(scene.placed(x, q), scene.plane)]
-        return float(0.6 * np.exp(-np.array(gaps) / 0.3).sum())
+        gaps = gaps_of(scene.placed(x, q), scene.plane).gap
+        return float(0.6 * np.exp(-gaps / 0.3).sum())
 
     force, torque = push.loads(scene.placed(x, q), scene.plane)
     step = 1e-5

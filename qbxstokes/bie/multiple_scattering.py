@@ -23,7 +23,7 @@ are those of the space frame; force and torque are exerted by the bodies ON the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -32,7 +32,7 @@ import numpy as np
 
 from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.errors import ContactError
-from qbxstokes.geometry import gaps
+from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.confocal import Table
 from qbxstokes.qbx.exterior import ExteriorFlow
@@ -97,36 +97,24 @@ class Placed:
 
 
 def closest(bodies: Sequence[Placed], wall: Plane | None) -> tuple[float, tuple[int, int], Array]:
-    """Least gap of the scene, its pair (-1: the wall), and each body's least rate (`gaps.Gap`)."""
-    rates = np.full(len(bodies), np.inf)
-    least, who = np.inf, (0, -1)
-    for gap, b, c in gaps_of(bodies, wall):
-        if gap.gap < least:
-            least, who = gap.gap, (b, c)
-        rates[b] = min(rates[b], gap.rates[0])
-        if c >= 0:
-            rates[c] = min(rates[c], gap.rates[1])
-    return float(least), who, rates
+    """Least gap of the scene, its pair (-1: the wall), and each body's least rate (`Gaps`)."""
+    found, rates = gaps_of(bodies, wall), np.full(len(bodies), np.inf)
+    if not len(found.gap):
+        return np.inf, (0, -1), rates
+    for side in (0, 1):
+        here = found.pairs[:, side] >= 0
+        np.minimum.at(rates, found.pairs[here, side], found.rates[here, side])
+    least = int(np.argmin(found.gap))
+    b, c = found.pairs[least].tolist()
+    return float(found.gap[least]), (b, c), rates
 
 
-def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Iterator[tuple[gaps.Gap, int, int]]:
-    """The gap of every pair, and who it is between: a body and an earlier one, or -1, the wall."""
-    for b, body in enumerate(bodies):
-        for c in range(b):
-            yield _pair(body, bodies[c]), b, c
-        if wall is not None:
-            height = float(wall.height(body.position))
-            k, size = body.ratio, body.size
-            yield gaps.wall_gap(height, wall.normal, body.axis, k, size), b, -1
-
-
-def _pair(body: Placed, other: Placed) -> gaps.Gap:
-    return gaps.pair_gap(
-        other.position - body.position,
-        (body.axis, other.axis),
-        (body.ratio, other.ratio),
-        (body.size, other.size),
-    )
+def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Gaps:
+    """The gaps of all pairs."""
+    centres, axes = (np.stack([getattr(b, name) for b in bodies]) for name in ("position", "axis"))
+    k, size = (np.array([getattr(b, name) for b in bodies]) for name in ("ratio", "size"))
+    above = () if wall is None else (wall.normal, wall.height(centres))
+    return gaps_between(centres, axes, k, size.astype(float), *above)
 
 
 def factor(k: float, free: bool, wall: bool) -> float:
@@ -146,7 +134,7 @@ def least_rate(tolerance: float) -> float:
 
 
 def nodes_for(rate: float, tolerance: float, factor: float = FACTOR) -> int:
-    """Polar nodes for the rate of decay of a gap (see `gaps.Gap`) and a relative error."""
+    """Polar nodes for the rate of decay of a gap (see `Gaps`) and a relative error."""
     if rate == np.inf:
         return LEAST_NODES
     wanted = math.log(factor / tolerance) / (2.0 * max(rate, 1e-6))

@@ -1,6 +1,7 @@
-"""The direction of the gap between two spheroids, compiled: a concave problem on the sphere.
+"""The gaps between all spheroids of a scene, compiled; the direction of each is a concave problem
+on the sphere.
 
-Imported only when bodies share a fluid.
+Imported only when bodies share a fluid; see `gaps` for what is meant.
 """
 
 from __future__ import annotations
@@ -104,3 +105,75 @@ def direction(apart, axes, ratios, sizes, m):  # type: ignore[no-untyped-def]
             break
         m[:], best = new, trial
     return best
+
+
+@njit(cache=compiled_are_kept())
+def _radius(k, size, h):  # type: ignore[no-untyped-def]
+    """Least radius of curvature where the half width is h."""
+    q = k * size / h  # |dx/dtheta| of the unit body
+    return size * min(q**3 / k, k * q)
+
+
+@njit(cache=compiled_are_kept())
+def _rate(gap, m, axis, k, size, h, other):  # type: ignore[no-untyped-def]
+    """Log of the decay per degree on a body, h half wide, whose neighbour's least radius is other.
+
+    m: the outward normal at the contact.
+    """
+    if gap <= 0.0:
+        return 0.0
+    own = _radius(k, size, h)
+    d = own + other + gap
+    z = (d * d + own * own - other * other) / (2.0 * d)
+    c = math.sqrt((z - own) * (z + own))
+    reach = gap + c - (d - z) + other
+    along, squared, height = m[0] * axis[0] + m[1] * axis[1] + m[2] * axis[2], 0.0, 0.0
+    for i in range(3):
+        x = size * (k * k * m[i] + (1.0 - k * k) * along * axis[i]) / h + reach / size * m[i]
+        squared += x * x
+        height += x * axis[i]
+    e2 = (1.0 - k) * (1.0 + k)
+    rho2 = squared - height * height
+    s = squared - e2
+    alpha2 = 0.5 * (s + math.sqrt(s * s + 4.0 * e2 * rho2))
+    return math.log((math.sqrt(alpha2) + math.sqrt(alpha2 + e2)) / (1.0 + k))
+
+
+@njit(cache=compiled_are_kept())
+def _half_width(m, axis, k, size):  # type: ignore[no-untyped-def]
+    along = m[0] * axis[0] + m[1] * axis[1] + m[2] * axis[2]
+    return size * math.sqrt(k * k + (1.0 - k * k) * along * along)
+
+
+@njit(cache=compiled_are_kept())
+def fill(centres, axes, ratios, sizes, normal, heights, pairs, found):  # type: ignore[no-untyped-def]
+    """Fill the pairs (P, 2) and found (P, 6): gap, direction (3), rates of both bodies.
+
+    heights: of the centres above the wall with the normal (3,); empty where there is none.
+    """
+    row = 0
+    both, ks, lengths = np.empty((2, 3)), np.empty(2), np.empty(2)
+    for b in range(len(centres)):
+        for c in range(b):
+            both[0], both[1] = axes[b], axes[c]
+            ks[0], ks[1] = ratios[b], ratios[c]
+            lengths[0], lengths[1] = sizes[b], sizes[c]
+            m = found[row, 1:4]
+            gap = direction(centres[c] - centres[b], both, ks, lengths, m)
+            pairs[row, 0], pairs[row, 1], found[row, 0] = b, c, gap
+            h, w = (
+                _half_width(m, axes[b], ratios[b], sizes[b]),
+                _half_width(m, axes[c], ratios[c], sizes[c]),
+            )
+            own, other = _radius(ratios[b], sizes[b], h), _radius(ratios[c], sizes[c], w)
+            found[row, 4] = _rate(gap, m, axes[b], ratios[b], sizes[b], h, other)
+            found[row, 5] = _rate(gap, -m, axes[c], ratios[c], sizes[c], w, own)
+            row += 1
+        if len(heights):
+            h = _half_width(normal, axes[b], ratios[b], sizes[b])
+            gap, own = heights[b] - h, _radius(ratios[b], sizes[b], h)
+            pairs[row, 0], pairs[row, 1], found[row, 0] = b, -1, gap
+            found[row, 1:4] = -normal
+            found[row, 4] = _rate(2.0 * gap, -normal, axes[b], ratios[b], sizes[b], h, own)
+            found[row, 5] = np.inf
+            row += 1

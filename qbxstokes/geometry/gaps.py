@@ -11,83 +11,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qbxstokes.typing import Array
+from qbxstokes.typing import Array, Integers
 
 
 @dataclass(frozen=True)
-class Gap:
-    """The least gap (scene units) and the unit direction there from the first to the second.
+class Gaps:
+    """Gap (P,) of every pair (scene units) and unit direction (P, 3) from the first to the second.
 
-    rates: per body, log of the decay per degree of the harmonics of its neighbour's images: of the
-    spheres osculating the bodies at the gap they pile up at the limiting points of bispherical
-    coordinates, whose confocal coordinate on the body is the rate. For equal spheres it is
-    acosh(1 + gap/(2 R)), by a wall acosh(1 + gap/R).
+    pairs (P, 2): a body and an earlier one, or -1, the wall. rates (P, 2): per body, log of the
+    decay per degree of the harmonics of its neighbour's images: of the spheres osculating the
+    bodies at the gap they pile up at the limiting points of bispherical coordinates, whose confocal
+    coordinate on the body is the rate. For equal spheres it is acosh(1 + gap/(2 R)), by a wall
+    acosh(1 + gap/R).
     """
 
-    gap: float
+    pairs: Integers
+    gap: Array
     direction: Array
-    rates: tuple[float, float]
+    rates: Array
 
 
-def support(direction: Array, axis: Array, aspect_ratio: float, size: float) -> float:
-    """Half width of a spheroid along a unit direction."""
-    k2 = aspect_ratio**2
-    return size * float(np.sqrt(k2 + (1.0 - k2) * (direction @ axis) ** 2))
+def gaps_between(
+    centres: Array,
+    axes: Array,
+    ratios: Array,
+    sizes: Array,
+    normal: Array | None = None,
+    heights: Array | None = None,
+) -> Gaps:
+    """All gaps of spheroids with centres and axes (N, 3), k (N,) and polar radii (N,).
+
+    normal (3,), heights (N,): of a wall, and of the centres above it.
+    """
+    from qbxstokes.geometry.gap_kernel import fill
+
+    n = len(centres)
+    count = n * (n - 1) // 2 + (0 if heights is None else n)
+    pairs, found = np.empty((count, 2), dtype=np.int64), np.empty((count, 6))
+    wall = (np.zeros(3), np.zeros(0)) if normal is None or heights is None else (normal, heights)
+    fill(*map(np.ascontiguousarray, (centres, axes, ratios, sizes, *wall)), pairs, found)
+    return Gaps(pairs, found[:, 0], found[:, 1:4], found[:, 4:])
 
 
 def contact_point(direction: Array, axis: Array, aspect_ratio: float, size: float) -> Array:
     """Point of the surface, from the centre, whose outward normal is a unit direction."""
-    k2 = aspect_ratio**2
-    along = (direction @ axis) * axis
-    h = support(direction, axis, aspect_ratio, size)
-    return np.asarray(size**2 * (k2 * direction + (1.0 - k2) * along) / h)
-
-
-def _radius(direction: Array, axis: Array, k: float, size: float) -> float:
-    """Least radius of curvature at a contact."""
-    q = k * size / support(direction, axis, k, size)  # |dx/dtheta| of the unit body
-    return size * min(q**3 / k, k * q)
-
-
-def _rate(gap: float, direction: Array, axis: Array, k: float, size: float, other: float) -> float:
-    """Log of the decay per degree on a body whose neighbour's least radius is `other`."""
-    if gap <= 0.0:
-        return 0.0
-    own = _radius(direction, axis, k, size)
-    d = own + other + gap
-    z = (d * d + own * own - other * other) / (2.0 * d)
-    c = np.sqrt((z - own) * (z + own))
-    depth = c - (d - z) + other
-    x = contact_point(direction, axis, k, size) + (gap + depth) * direction
-    height = x @ axis / size
-    rho2 = x @ x / size**2 - height**2
-    e2 = (1.0 - k) * (1.0 + k)
-    s = rho2 + height**2 - e2
-    alpha2 = 0.5 * (s + np.sqrt(s * s + 4.0 * e2 * rho2))
-    return float(np.log((np.sqrt(alpha2) + np.sqrt(alpha2 + e2)) / (1.0 + k)))
-
-
-def wall_gap(height: float, normal: Array, axis: Array, k: float, size: float) -> Gap:
-    """Gap between a body whose centre is `height` above a plane and the plane."""
-    gap = height - support(normal, axis, k, size)
-    radius = _radius(normal, axis, k, size)
-    return Gap(gap, -normal, (_rate(2.0 * gap, -normal, axis, k, size, radius), np.inf))
-
-
-def pair_gap(
-    apart: Array,
-    axes: tuple[Array, Array],
-    ratios: tuple[float, float],
-    sizes: tuple[float, float],
-) -> Gap:
-    """Gap between two spheroids whose centres are `apart` (second less first)."""
-
-    from qbxstokes.geometry.gap_kernel import direction
-
-    m = np.empty(3)
-    value = direction(apart, np.stack(axes), np.array(ratios), np.array(sizes), m)
-    both = list(zip((m, -m), axes, ratios, sizes, strict=True))
-    rates = [
-        _rate(value, *one, _radius(*other)) for one, other in zip(both, both[::-1], strict=True)
-    ]
-    return Gap(float(value), m, (rates[0], rates[1]))
+    k2, along = aspect_ratio**2, direction @ axis
+    h = size * np.sqrt(k2 + (1.0 - k2) * along**2)
+    return np.asarray(size**2 * (k2 * direction + (1.0 - k2) * along * axis) / h)

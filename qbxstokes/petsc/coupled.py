@@ -2,11 +2,14 @@
 
 The one-body inverses are inside the matrix (`bie.multiple_scattering`), which is the identity plus
 a compact operator. Bodies are dealt to the ranks of a communicator; at each product they gather
-the coefficients of all bodies' exterior flows and each evaluates them on its own bodies.
+the coefficients of all bodies' exterior flows and each evaluates them on its own bodies. Ranks wait
+for each other asleep: the machine may have other work.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,11 +18,12 @@ from petsc4py import PETSc
 
 from qbxstokes.bie.multiple_scattering import Coupled
 from qbxstokes.errors import ConvergenceError
+from qbxstokes.petsc.launch import finish_asleep
 from qbxstokes.petsc.session import temporary_options
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, ComplexArray
 
 _RESTART = 200
+PAUSE = 2e-5  # seconds between looks of a rank that waits for others in a solve
 
 
 class CoupledSolver:
@@ -34,6 +38,10 @@ class CoupledSolver:
     ) -> None:
         self.problem, self.free = problem, free
         self.comm = PETSc.COMM_SELF if comm is None else comm
+        self._mpi = self.comm.tompi4py() if self.comm.getSize() > 1 else None
+        if self._mpi is not None:
+            finish_asleep(self._mpi.Ibarrier(), PAUSE)
+            self._shares = self._mpi.allgather(list(problem.rows))
         self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
         self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
@@ -48,19 +56,32 @@ class CoupledSolver:
             ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
 
-    def gathered(self, flows: list[Any]) -> list[Any]:
-        """Coefficients of all bodies from those of each rank's own, in the order of the bodies."""
-        if self.comm.getSize() == 1:
-            return flows
-        parts = self.comm.tompi4py().allgather(list(zip(self.problem.rows, flows, strict=True)))
-        return [flow for _, flow in sorted((pair for part in parts for pair in part), key=_first)]
+    def gathered(self, own: Sequence[NDArray[Any]], sizes: Sequence[int]) -> list[NDArray[Any]]:
+        """Arrays of all bodies, flows or motions of known sizes, from those of each rank's own."""
+        if self._mpi is None:
+            return list(own)
+        counts = [sum(sizes[b] for b in share) for share in self._shares]
+        mine = np.concatenate([np.zeros(0), *(array.ravel() for array in own)], dtype=complex)
+        whole = np.empty(sum(counts), dtype=complex)
+        finish_asleep(self._mpi.Iallgatherv(mine, [whole, counts]), PAUSE)
+        order = [b for share in self._shares for b in share]
+        parts = np.split(whole, np.cumsum([sizes[b] for b in order])[:-1])
+        return [part for _, part in sorted(zip(order, parts, strict=True), key=_first)]
+
+    def sent(self, own: Sequence[ComplexArray]) -> list[ComplexArray]:
+        """Flows of all bodies from those of each rank's own."""
+        shapes = [one.shape_of_flows for one in self.problem.maps]
+        found = self.gathered(own, [math.prod(shape) for shape in shapes])
+        return [flow.reshape(shape) for flow, shape in zip(found, shapes, strict=True)]
 
     def mult(self, mat: Any, x: Any, y: Any) -> None:
         """y = x + what arrives at each body when all send what x makes them send."""
         problem, unknowns = self.problem, x.getArray(readonly=1)
-        flows = self.gathered(problem.flows(problem.split(unknowns), self.free))
+        flows = self.sent(problem.flows(problem.split(unknowns), self.free))
         arriving = problem.joined([problem.arriving(b, flows) for b in problem.rows])
         y.setArray(unknowns + arriving)
+        if self._mpi is not None:  # PETSc's own sums over the ranks, next, wait awake
+            finish_asleep(self._mpi.Ibarrier(), PAUSE)
 
     def solve(self, data: list[Array], guess: Array | None = None) -> Array:
         """Unknowns of the own bodies for data (N, 3) on each. Raises ConvergenceError."""

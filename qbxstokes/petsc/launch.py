@@ -1,8 +1,9 @@
-"""How MPI starts: by itself for a process that no launcher has started.
+"""How MPI starts: by itself for a process that no launcher has started; and how ranks wait.
 
 Open MPI launches a daemon for such a process, and loads the networks of the machine, so that it
 might be joined by others. Half of the time that a short run takes goes into that, for nothing: one
-process has nobody to talk to. Other implementations of MPI do not read what is set here.
+process has nobody to talk to. Among several, a rank that waits for others lets whoever else is at
+work have its core. Other implementations of MPI do not read what is set here.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count, takewhile
+from typing import Any
 
 # Starts of names that launchers and resource managers give to the processes they start.
 _LAUNCHERS = (
@@ -27,6 +30,7 @@ _ALONE = {
     "OMPI_MCA_btl": "self",
     "OMPI_MCA_pml": "ob1",
 }
+_AMONG_OTHERS = {"OMPI_MCA_mpi_yield_when_idle": "1"}
 
 
 def launched() -> bool:
@@ -42,20 +46,27 @@ def starting_mpi() -> Iterator[None]:
     it, is gone afterwards: a program started by this one, `mpirun` say, does not take itself for a
     part of it.
     """
-    started = "mpi4py.MPI" in sys.modules or "petsc4py.PETSc" in sys.modules
-    if started or launched():
+    if "mpi4py.MPI" in sys.modules or "petsc4py.PETSc" in sys.modules:
         yield
         return
-    added = {name: value for name, value in _ALONE.items() if name not in os.environ}
+    alone = not launched()
+    wanted = _ALONE if alone else _AMONG_OTHERS
+    added = {name: value for name, value in wanted.items() if name not in os.environ}
     os.environ.update(added)
     try:
         yield
     finally:
         for name in added:
             del os.environ[name]
-        for name in _environment() - set(os.environ):
+        for name in _environment() - set(os.environ) if alone else ():
             if name.startswith(_OPEN_MPI):
                 os.unsetenv(name)
+
+
+def finish_asleep(request: Any, pause: float = 2e-3) -> None:
+    """Wait for what ranks do together, asleep between looks: those at work have their cores."""
+    while not request.Test():
+        time.sleep(pause)
 
 
 def _environment() -> set[str]:

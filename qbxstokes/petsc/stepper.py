@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from petsc4py import PETSc
 
-from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError, Stopping
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
@@ -117,6 +117,8 @@ def integrate(
     limits = chunk_samples, chunk_steps, chunk_time
     try:
         finished = run.go(on_chunk or kept.append, limits, interrupted, observe)
+    except Stopping:  # within a step, or while its samples were made
+        finished = False
     finally:
         run.release()
     return Trajectory(
@@ -369,7 +371,11 @@ class Run:
             self.checkpoint = self._pace.changed(self.checkpoint)
         first = index - len(samples)
         states = np.array(samples).reshape(len(samples), *state.shape)
-        deliver(Chunk(first, self.times[first:index], _of_unit_length(states), self.checkpoint))
+        try:
+            deliver(Chunk(first, self.times[first:index], _of_unit_length(states), self.checkpoint))
+        except Stopping:
+            self.checkpoint = old
+            raise
         if index == len(self.times):
             return
         try:

@@ -144,6 +144,11 @@ class SurfaceToExterior:
         # The highest mode of an even grid stands for two and is left out.
         return (self.grid.n_phi + 1) // 2
 
+    @property
+    def shape_of_flows(self) -> tuple[int, int, int]:
+        """Shape of the coefficients of a flow."""
+        return 4, self.harmonics.orders, self.harmonics.degree + 1
+
     @cached_property
     def _scale(self) -> Array:
         return np.asarray(np.sqrt(self.grid.theta_weights * np.sin(self.grid.theta)))

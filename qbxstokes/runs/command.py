@@ -6,13 +6,14 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes import folders
-from qbxstokes.errors import ConvergenceError
+from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.parallel import guarded, missing_message, on_root, say, world
 from qbxstokes.runs.progress import Clock
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class Job:
-    """What a task is carried out with: ranks, case, plan and target (rank 0 alone plans), words.
+    """What a task is carried out with: ranks, case, plan and target, words.
 
+    plan: of rank 0; of several bodies that of every rank, None on one that could not make it.
     petsc: the command line that is left for PETSc. PETSc and provenance: see `start`.
     """
 
@@ -150,15 +152,24 @@ def compute_case(
             from qbxstokes.runs.plan import plan_of
         own: list[Any] = []
 
-        def planned() -> Any:
-            loaded = read()
-            own.extend([loaded, plan_of(loaded)])
-            return loaded.document, loaded.space, target_of(loaded, options.overwrite)
+        def opened() -> Any:
+            own.append(read())
+            return own[0].document, own[0].space
+
+        def planned() -> Path:
+            own.append(plan_of(loaded))
+            return target_of(loaded, options.overwrite)
 
         with clock.part("read and plan"):
-            document, space, target = on_root(comm, planned)
+            document, space = on_root(comm, opened)
             # Every rank makes the same of the document.
-            loaded, plan = own or (from_document(document, path, space), None)
+            loaded = own[0] if own else from_document(document, path, space)
+            plan = None
+            if comm.rank and loaded.case.coupled and loaded.space is None:
+                with suppress(QbxStokesError):  # what is wrong rank 0 finds, too, and tells
+                    plan = plan_of(loaded)
+            target = on_root(comm, planned)
+            plan = own[1] if own else plan
         job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
         sweep = loaded.case.sweep
         if sweep is not None and sweep.store == "statistics":

@@ -20,7 +20,7 @@ from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.recording import Recording
-from qbxstokes.runs.shared_rows import RowTeam, with_team
+from qbxstokes.runs.shared_rows import RowTeam, ordered, with_team
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.event_watch import events_summary
 from qbxstokes.simulation.from_case import pointed
@@ -193,15 +193,15 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
     """The motion of bodies that share the fluid, or of one by a wall; returns the summary."""
     from qbxstokes.petsc.coupled import over
     from qbxstokes.simulation import coupled_assembly
-    from qbxstokes.simulation.from_bodies import coupled_of
 
-    scene = coupled_of(job.loaded, over(job.comm))
+    scene = job.plan.simulation
+    scene.suspension.comm = over(job.comm)
     if scene.table is not None:
         named = job.loaded.case.hydrodynamics.cache
         scene.table.cache = open_cache(named, job.options.no_cache)
-    shared = team.join(_BODIES)
+    team.join(_BODIES)
     if job.comm.size > 1:
-        scene.herald = shared.bcast
+        scene.herald = lambda order: ordered(job.comm, order)
 
     def dismiss() -> None:
         """No more problems for the other ranks."""
@@ -212,8 +212,10 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
         with job.clock.part("motion"), pointed(job.loaded):
             assembled = scene.assemble()
             watch = assembled.watch()
+        assembled.fluid.asked = job.interruption.asked
 
         def facts(trajectory: Trajectory) -> dict[str, Any]:
+            assembled.fluid.asked = None  # what remains is little
             if trajectory.finished:
                 with job.clock.part("error estimate"):
                     assembled.estimate(trajectory, watch)
@@ -231,11 +233,12 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
 
 def _help_with_bodies(job: Job) -> None:
     """What the other ranks do for the motion of several bodies."""
-    from qbxstokes.petsc.coupled import over
+    from qbxstokes.petsc.coupled import PAUSE, over
     from qbxstokes.simulation.from_bodies import coupled_of
 
-    scene = coupled_of(job.loaded, over(job.comm))
-    while (order := job.comm.bcast(None)) is not None:
+    scene = coupled_of(job.loaded) if job.plan is None else job.plan.simulation
+    scene.suspension.comm = over(job.comm)
+    while (order := ordered(job.comm, pause=PAUSE)) is not None:
         *problem, motion = order
         try:
             scene.solved(*problem, **motion)

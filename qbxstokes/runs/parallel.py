@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -13,11 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from qbxstokes.errors import OutputError, QbxStokesError
-from qbxstokes.petsc.launch import starting_mpi
+from qbxstokes.petsc.launch import finish_asleep, starting_mpi
 
 T = TypeVar("T")
-
-_POLL = 2e-3  # seconds between looks of a waiting rank
 
 
 def world() -> Any:
@@ -26,13 +23,6 @@ def world() -> Any:
         from mpi4py import MPI
 
     return MPI.COMM_WORLD
-
-
-def wait_asleep(comm: Any) -> None:
-    """Wait for all ranks, asleep between looks, so that those at work have their cores."""
-    arrived = comm.Ibarrier()
-    while not arrived.Test():
-        time.sleep(_POLL)
 
 
 def on_root(comm: Any, action: Callable[[], T]) -> T:
@@ -47,7 +37,7 @@ def on_root(comm: Any, action: Callable[[], T]) -> T:
         except QbxStokesError as error:
             outcome = (None, error)
     if comm.size > 1:
-        wait_asleep(comm)
+        finish_asleep(comm.Ibarrier())
         outcome = comm.bcast(outcome)
     value, failure = outcome
     if failure is not None:
@@ -209,7 +199,7 @@ class HandOut:
     def wait(self) -> None:
         """Wait for all ranks."""
         if self._window is not None:
-            wait_asleep(self._comm)
+            finish_asleep(self._comm.Ibarrier())
 
     def close(self) -> None:
         """Free the window; all ranks together."""

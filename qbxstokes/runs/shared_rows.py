@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.petsc.launch import finish_asleep
 from qbxstokes.qbx.operator import Scheme, layer_rows
-from qbxstokes.runs.parallel import wait_asleep
 
 T = TypeVar("T")
 
@@ -51,12 +51,12 @@ class RowTeam:
         order = (shape, scheme, n_modes, list(rows), with_single)
         if not self._serving:
             return layer_rows(*order)
-        self._order(("rows", order))
+        ordered(self._comm, ("rows", order))
         return _put_together(self._comm.gather(_share(order, 0, self._comm.size)))
 
     def serve(self) -> None:
         """Form rows for rank 0, and join in services, until dismissed; for the other ranks."""
-        while (order := self._order(None)) is not None:
+        while (order := ordered(self._comm)) is not None:
             name, arguments = order
             if name == "rows":
                 self._comm.gather(_share(arguments, self._comm.rank, self._comm.size))
@@ -70,21 +70,24 @@ class RowTeam:
         """
         if not self._serving:
             return ALONE
-        self._order((name, arguments))
+        ordered(self._comm, (name, arguments))
         return self._comm
 
     def dismiss(self) -> None:
         """Let the other ranks go on; rank 0 forms further rows alone."""
         if self._serving:
             self._serving = False
-            self._order(None)
+            ordered(self._comm)
 
-    def _order(self, order: Any) -> Any:
-        if self._comm.rank:
-            wait_asleep(self._comm)
-        else:
-            self._comm.Ibarrier().Wait()
-        return self._comm.bcast(order)
+
+def ordered(comm: Any, order: Any = None, pause: float = 2e-3) -> Any:
+    """The order of rank 0 on every rank; pause: between looks of the others, who sleep."""
+    arrived = comm.Ibarrier()
+    if comm.rank:
+        finish_asleep(arrived, pause)
+    else:
+        arrived.Wait()
+    return comm.bcast(order)
 
 
 def _share(order: Any, rank: int, size: int) -> tuple[Any, Any]:

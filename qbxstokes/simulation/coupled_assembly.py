@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.multiple_scattering import LEAST_NODES, MOST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
-from qbxstokes.errors import ContactError, FlowError, SceneError
+from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
@@ -40,9 +40,13 @@ _LOOSE = 1e-6
 
 
 class Fluid:
-    """What the equations ask of a scene: each answer is a problem of its own."""
+    """What the equations ask of a scene: each answer is a problem of its own.
+
+    asked: whether a signal asks the run to stop; raises `Stopping` then, before the next problem.
+    """
 
     thermal = None
+    asked: Callable[[], bool] | None = None
 
     def __init__(self, scene: CoupledSimulation) -> None:
         self.scene = scene
@@ -128,6 +132,8 @@ class Fluid:
 
     def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
         scene = self.scene
+        if self.asked is not None and self.asked():
+            raise Stopping
         try:
             places = scene.suspension.placed(x, q)
             nodes = scene.suspension.grids(places, scene.flow, t, True, kind != "held")

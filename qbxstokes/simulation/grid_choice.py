@@ -37,7 +37,8 @@ def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[i
     _, who, rates = closest(places, scene.plane)
     if nodes_for(float(rates.min()), scene.tolerance, _BEST) > MOST_NODES:
         raise too_near(places, scene.plane, scene.tolerance, max(wanted))
-    direction = next(gap.direction for gap, *pair in gaps_of(places, scene.plane) if pair == [*who])
+    found = gaps_of(places, scene.plane)
+    direction = found.direction[np.argmin(found.gap)]
     motion = np.zeros((len(places), 6))
     motion[who[0], :3] = direction
     if who[1] >= 0:
@@ -57,10 +58,13 @@ def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[i
     raise too_near(places, scene.plane, scene.tolerance, most)
 
 
-def flow_nodes_on(b: int, place: Placed, flow: Flow, t: float, tolerance: float) -> int:
+def flow_nodes_on(
+    b: int, place: Placed, flow: Flow, t: float, tolerance: float, known: bool
+) -> int:
     """Polar nodes that resolve the flow on body number b, which it must surround.
 
-    Raises SceneError for a flow that is none around the body, or that MOST_NODES do not resolve.
+    known: whether it is known to be a Stokes flow. Raises SceneError for a flow that is none around
+    the body, or that MOST_NODES do not resolve.
     """
     reach = place.size**2 * place.shape.extent(place.axis)
     for edge in flow.domain:
@@ -68,7 +72,8 @@ def flow_nodes_on(b: int, place: Placed, flow: Flow, t: float, tolerance: float)
             raise SceneError("position", f"has body {b} beyond {edge}", "the body inside")
     try:
         radius = 2.0 * place.size * place.shape.radius
-        check_stokesian(flow, place.position, radius=radius, t=t)
+        if not known:
+            check_stokesian(flow, place.position, radius=radius, t=t)
         if flow.degree is not None and flow.degree <= 3:
             return 0
         if not flow.singular_points_known:

@@ -37,16 +37,16 @@ class Repulsion:
     def loads(self, bodies: Sequence[Placed], wall: Plane | None) -> tuple[Array, Array]:
         """Force and torque (N, 3) on the bodies, space frame, torque about each centre."""
         force, torque = np.zeros((len(bodies), 3)), np.zeros((len(bodies), 3))
-        for gap, b, c in gaps_of(bodies, wall):
-            if gap.gap > _LEFT_OUT * self.range:
-                continue
+        found = gaps_of(bodies, wall)
+        for row in np.flatnonzero(found.gap <= _LEFT_OUT * self.range):
             # From the first body, b, to the other one.
-            size = self.strength * float(np.exp(-max(gap.gap, 0.0) / self.range))
+            (b, c), direction = found.pairs[row], found.direction[row]
+            size = self.strength * float(np.exp(-max(found.gap[row], 0.0) / self.range))
             for body, push in ((b, -size), (c, size)):
                 if body < 0:
                     continue
-                place, away = bodies[body], np.copysign(1.0, -push) * gap.direction
+                place, away = bodies[body], np.copysign(1.0, -push) * direction
                 arm = contact_point(away, place.axis, place.ratio, place.size)
-                force[body] += push * gap.direction
-                torque[body] += push * np.cross(arm, gap.direction)
+                force[body] += push * direction
+                torque[body] += push * np.cross(arm, direction)
         return force, torque

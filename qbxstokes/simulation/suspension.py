@@ -69,6 +69,7 @@ class Suspension:
         if not 1e-12 <= tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "between 1e-12 and 0.1")
         self.wall, self.tolerance, self.comm = surroundings, float(tolerance), comm
+        self._known: Flow | None = None  # a polynomial that was found to be a flow: everywhere
 
     def __len__(self) -> int:
         """Number of bodies."""
@@ -120,8 +121,12 @@ class Suspension:
             chosen = probed_nodes(self, places, chosen)
         if flow is None:
             return chosen
+        known = flow is self._known
         for b, place in enumerate(places):
-            chosen[b] = max(chosen[b], flow_nodes_on(b + 1, place, flow, t, self.tolerance))
+            needed = flow_nodes_on(b + 1, place, flow, t, self.tolerance, known)
+            chosen[b] = max(chosen[b], needed)
+        if flow.steady and flow.degree is not None:
+            self._known = flow
         return chosen
 
     @property
@@ -336,7 +341,7 @@ class Suspension:
             if background is not None:
                 data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
             x = solver.solve(data)
-            flows = solver.gathered(problem.flows(problem.split(x), False))
+            flows = solver.sent(problem.flows(problem.split(x), False))
             loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
@@ -358,14 +363,14 @@ class Suspension:
         if background is not None:
             data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
         x = solver.solve(data, guess)
-        sent, motions = [], {}
+        own, motions = [], []
         for b, v in zip(problem.rows, problem.split(x), strict=True):
-            c, own = problem.alone(b, v)
-            motion = problem.to_space(b, alone[b][0] - own)
-            sent.append((driven[b] + c - np.tensordot(own, problem.maps[b].rigid_flows, 1), motion))
-        sent = solver.gathered(sent)
-        motions = np.stack([motion for _, motion in sent])
-        took, flows = solver.latest, [flow for flow, _ in sent]
+            c, motion = problem.alone(b, v)
+            motions.append(problem.to_space(b, alone[b][0] - motion))
+            own.append(driven[b] + c - np.tensordot(motion, problem.maps[b].rigid_flows, 1))
+        flows = solver.sent(own)
+        motions = np.stack(solver.gathered(motions, [6] * len(self))).real
+        took = solver.latest
         solver.release()
 
         def again(nodes: list[int]) -> Solution:
