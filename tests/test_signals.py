@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import ENVIRONMENT
 
@@ -113,3 +114,41 @@ def test_other_threads_run_cases_without_handlers() -> None:
     swept = asyncio.run(asyncio.to_thread(qs.sweep, case, {"body.stokes_number": [0, 1]}))
     assert swept.summary["failed"] == 0
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_bodies_stop_at_the_next_solve_and_go_on_with_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = [{"aspect_ratio": 1, "start": {"position": [x, y, 0]}} for x, y in ((0, 0), (3, 0.4))]
+    case = {
+        "bodies": bodies,
+        "flow": {"type": "shear"},
+        "time": {"end": 6.0, "samples": 5, "tolerance": 1e-6},
+        "hydrodynamics": {"tolerance": 1e-3},
+        "checkpoint": {"every": "1e-6 s"},
+    }
+    monkeypatch.chdir(tmp_path)
+    Path("case.yaml").write_text(json.dumps(case))
+    script = (
+        "import os, signal, sys\n"
+        "from qbxstokes.simulation.coupled import CoupledSimulation as Scene\n"
+        "solved, counts = Scene.solved, []\n"
+        "def noted(*arguments, **motion):\n"
+        "    counts.append(1)\n"
+        "    if len(counts) == 62:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    assert len(counts) < 63\n"
+        "    return solved(*arguments, **motion)\n"
+        "Scene.solved = noted\n"
+        "from qbxstokes.cli.main import run_command\n"
+        "sys.exit(run_command(['case.yaml', '--quiet']))"
+    )
+    command = [sys.executable, "-c", script]
+    settings: Any = {"env": os.environ | ENVIRONMENT, "capture_output": True, "text": True}
+    done = subprocess.run(command, check=False, **settings)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.startswith("qbxstokes: SIGINT: stopped at t = ")
+    assert done.stderr.count("\n") == 1
+    resume = [sys.executable, "-m", "qbxstokes", "case.yaml", "--quiet", "--resume"]
+    assert subprocess.run(resume, check=False, **settings).returncode == 0
+    assert np.array_equal(qs.load("case.h5").position, qs.run(case).position)

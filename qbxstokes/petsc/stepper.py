@@ -351,7 +351,7 @@ class Run:
         state = self._system.read(self._vector)
         drift = float(np.max(np.abs(np.linalg.norm(state[:, ORIENTATION], axis=1) - 1.0)))
         old = self.checkpoint
-        self.checkpoint = Checkpoint(
+        new = Checkpoint(
             time=t,
             state=_of_unit_length(state),
             step=float(ts.getTimeStep()),
@@ -368,14 +368,11 @@ class Run:
             changed=old.changed,
         )
         if held_up:
-            self.checkpoint = self._pace.changed(self.checkpoint)
+            new = self._pace.changed(new)
         first = index - len(samples)
         states = np.array(samples).reshape(len(samples), *state.shape)
-        try:
-            deliver(Chunk(first, self.times[first:index], _of_unit_length(states), self.checkpoint))
-        except Stopping:
-            self.checkpoint = old
-            raise
+        deliver(Chunk(first, self.times[first:index], _of_unit_length(states), new))
+        self.checkpoint = new
         if index == len(self.times):
             return
         try:

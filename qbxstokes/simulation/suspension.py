@@ -347,14 +347,13 @@ class Suspension:
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
                 return self._held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
 
-            parts = *_parts(motion), *_parts(loads)
-            found.append(Solution(problem, flows, *parts, solver.latest, x, again))
+            (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
+            took = solver.latest
+            found.append(Solution(problem, flows, v, omega, force, torque, took, x, again))
         solver.release()
         return found
 
-    def freed(
-        self, problem: Coupled, loads: Array, background: Any, guess: Array | None
-    ) -> Solution:
+    def freed(self, problem: Coupled, loads: Array, background: Any, guess: Any = None) -> Solution:
         """Bodies under loads (N, 6) in a background (points -> velocity) or none; see `free`."""
         solver = self._solver(problem, True)
         alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
@@ -362,8 +361,7 @@ class Suspension:
         data = [-problem.arriving(b, driven) for b in problem.rows]
         if background is not None:
             data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
-        x = solver.solve(data, guess)
-        own, motions = [], []
+        x, own, motions = solver.solve(data, guess), [], []
         for b, v in zip(problem.rows, problem.split(x), strict=True):
             c, motion = problem.alone(b, v)
             motions.append(problem.to_space(b, alone[b][0] - motion))
@@ -375,9 +373,10 @@ class Suspension:
 
         def again(nodes: list[int]) -> Solution:
             coarser = self.problem(problem.bodies, nodes, _LOOSER)
-            return self.freed(coarser, loads, background, None)
+            return self.freed(coarser, loads, background)
 
-        return Solution(problem, flows, *_parts(motions), *_parts(loads), took, x, again)
+        (v, omega), (force, torque) = np.hsplit(motions, 2), np.hsplit(loads, 2)
+        return Solution(problem, flows, v, omega, force, torque, took, x, again)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
@@ -399,7 +398,3 @@ class Suspension:
 
 def _velocity(flow: Flow | None, t: float) -> Any:
     return None if flow is None else lambda points: flow.velocity(points, t)
-
-
-def _parts(pairs: Array) -> tuple[Array, Array]:
-    return pairs[:, :3], pairs[:, 3:]
