@@ -25,7 +25,7 @@ from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
-from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan, plan_coupled
+from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
@@ -219,6 +219,7 @@ def coupled_seconds(plan: MotionPlan) -> float:
     watch = assembled.watch()
     watch.begin(0.0, assembled.initial)
     first = time.process_time()  # maps of the bodies have been made, and are there for the rest
+    fluid, solves = assembled.fluid, assembled.fluid.solves
     trajectory = assembled.trajectory(
         plan.times,
         observe=watch,
@@ -226,8 +227,11 @@ def coupled_seconds(plan: MotionPlan) -> float:
         chunk_steps=1,
     )
     steps, share = time.process_time(), trajectory.reached / float(plan.times[-1])
-    assembled.fluid.estimate(0.0, assembled.initial)  # at both ends
-    return first - begin + (steps - first) / max(share, 1e-6) + 2.0 * (time.process_time() - steps)
+    # Samples take a solve each, and the estimates of errors, at both ends, two.
+    sample = (steps - first) / (fluid.solves - solves) if fluid.solves > solves else 0.0
+    fluid.estimate(0.0, assembled.initial)
+    ends = first - begin + 2.0 * (time.process_time() - steps)
+    return ends + (steps - first) / max(share, 1e-6) + len(plan.times) * sample
 
 
 def suspension_seconds(loaded: LoadedCase, plan: Plan) -> float:
@@ -267,7 +271,7 @@ def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
 def block_seconds(scenes: Swept) -> Array:
     """Integration time of every block, carried over from a few that are begun."""
     if not isinstance(scenes, Scenes):
-        first = plan_coupled(scenes.loaded) if scenes.loaded.case.coupled else None
+        first = getattr(scenes, "first", None)
         each = coupled_seconds(first) if isinstance(first, CoupledPlan) else MODEL
         return np.full(scenes.blocks, scenes.turns * each)
     weight = block_weights(scenes)

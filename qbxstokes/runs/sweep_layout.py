@@ -53,7 +53,7 @@ class CoupledScenes(Alone):
         if loaded.case.sweep.measure is not None:
             wrong = "has no meaning with a wall or several bodies"
             raise loaded.error("sweep.measure", wrong, "leave it out")
-        plan = plan_coupled(loaded)
+        self.first = plan = plan_coupled(loaded)
         self.skips = plan.skips
         self.bodies = len(loaded.case.members) if loaded.case.bodies is not None else 0
         moving = loaded.case.task == "motion"
