@@ -26,7 +26,7 @@ from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.field import Disturbance, mobility_disturbance, resistance_disturbance
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.qbx.volume import plain_rule
+from qbxstokes.qbx.panels import uniform_rule
 from qbxstokes.reference import faxen
 from qbxstokes.reference.translation import translating_flow
 
@@ -92,7 +92,7 @@ def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...])
         row["table"] = cost(table.evaluate, USUAL, 0.1 * limit)
         row |= {"plain": None, "upsampling": None}
         for upsampling in (1, 2, 4, 8, 16, 32):
-            rule = plain_rule(upsampling * NODES, 2 * upsampling * NODES)
+            rule = uniform_rule(upsampling * NODES, 2 * upsampling * NODES, "cosine")
             if np.abs(potentials.by_rule(few, rule) - exact).max() <= limit:
                 row |= {"plain": cost(potentials.by_rule, rule), "upsampling": upsampling}
                 break

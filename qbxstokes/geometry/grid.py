@@ -21,6 +21,16 @@ def gauss_legendre(n: int) -> tuple[Array, Array]:
     return np.asarray(x), np.asarray(w)
 
 
+def polar_rule(n: int, nodes: PolarNodes) -> tuple[Array, Array]:
+    """theta and weights (n,) of d theta: Gauss-Legendre in cos(theta), or in theta on [0, pi]."""
+    x, w = gauss_legendre(n)
+    if nodes == "theta":
+        return np.pi * (x + 1.0) / 2.0, np.pi / 2.0 * w
+    # arctan2 keeps the nodes symmetric and accurate near the poles.
+    s = np.sqrt((1.0 - x) * (1.0 + x))
+    return np.arctan2(s, -x), w / s
+
+
 @dataclass(frozen=True)
 class SurfaceGrid:
     """Polar nodes times equispaced azimuthal nodes; point index i_theta * n_phi + j_phi.
@@ -38,11 +48,7 @@ class SurfaceGrid:
     def _gauss(self) -> tuple[Array, Array, Array]:
         x, w = gauss_legendre(self.n_theta)
         barycentric = (-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w)
-        if self.nodes == "cosine":
-            # arctan2 keeps the nodes symmetric and accurate near the poles.
-            s = np.sqrt((1.0 - x) * (1.0 + x))
-            return np.arctan2(s, -x), w / s, barycentric
-        return np.pi * (x + 1.0) / 2.0, np.pi / 2.0 * w, barycentric
+        return *polar_rule(self.n_theta, self.nodes), barycentric
 
     @property
     def theta(self) -> Array:

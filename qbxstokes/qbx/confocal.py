@@ -74,6 +74,11 @@ class Harmonics:
         return table[:, : self.degree + 1]
 
     @cached_property
+    def recurrence(self) -> tuple[Array, Array, Array, Array]:
+        """What the compiled evaluations need: 1/ratio, rise, fall and diagonal."""
+        return 1.0 / self.ratio, self.rise, self.fall, self.diagonal
+
+    @cached_property
     def gain(self) -> Array:
         """Laplace single layer of the density E_nm on the surface, in units of E_nm.
 
@@ -158,18 +163,8 @@ class Harmonics:
         orders = min(degree + 1, self.orders)
         rows, columns = _triangle(orders, degree)
         values = np.empty((10 if second else 4, len(points), 2 * len(rows)))
-        tabulate(
-            np.ascontiguousarray(points),
-            self.ratio_of_axes,
-            degree,
-            orders,
-            1.0 / self.ratio,
-            self.rise,
-            self.fall,
-            self.diagonal,
-            second,
-            values,
-        )
+        points, k = np.ascontiguousarray(points), self.ratio_of_axes
+        tabulate(points, k, degree, orders, self.recurrence, second, values)
         return Table(points, values, rows, columns)
 
 

@@ -20,10 +20,10 @@ one target (`kernel.target_specific`) is the same number at a cost of O(p) inste
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from qbxstokes.qbx.kernel import Centre
 from qbxstokes.typing import Array, ComplexArray
 
 
@@ -122,47 +122,6 @@ def _twice(order: int) -> Array:
     return np.array([1.0 if m == 0 else 2.0 for l in range(order + 1) for m in range(l + 1)])
 
 
-@dataclass(frozen=True)
-class LocalExpansion:
-    """Expansion of a Stokes double layer about one centre: four sets of coefficients z_lm.
-
-    coefficients (4, count(order)), m >= 0, with lengths in units of `radius`; centre (3,).
-    """
-
-    centre: Array
-    radius: float
-    order: int
-    coefficients: ComplexArray
-
-    def velocity(self, targets: Array) -> Array:
-        """D[psi] (n, 3) at targets (n, 3) in the ball about the centre (eq. 5.19)."""
-        x = (targets - self.centre) / self.radius
-        values, gradients = regular_harmonics(x, self.order)
-        z = self.coefficients * _twice(self.order)
-        layers = np.einsum("cl,ln->cn", z, np.conj(values)).real
-        slopes = np.einsum("cl,iln->cin", z, np.conj(gradients)).real
-        moment = np.einsum("nj,jin->ni", x, slopes[:3])
-        return np.asarray(moment - layers[:3].T - slopes[3].T)
-
-
-def double_layer_expansion(
-    sources: Array, vector: Array, density: Array, centre: Array, radius: float, order: int
-) -> LocalExpansion:
-    """Expansion about centre (3,) of the double layer of sources (n, 3).
-
-    vector (n, 3): normal times quadrature weight; density (n, 3). Eq. 5.20-5.22.
-    """
-    y = (sources - centre) / radius
-    # The kernel is of dimension 1/length^2.
-    n = vector / radius**2
-    _, gradients = irregular_harmonics(y, order)
-    along = np.einsum("iln,ni->ln", gradients, n)
-    across = np.einsum("iln,ni->ln", gradients, density)
-    layers = np.einsum("ln,nj->jl", along, density) + np.einsum("ln,nj->jl", across, n)
-    moment = along @ np.einsum("ni,ni->n", y, density) + across @ np.einsum("ni,ni->n", y, n)
-    return LocalExpansion(centre, radius, order, np.concatenate([layers, moment[None]]))
-
-
 def expanded_kernels(
     target: Array, sources: Array, normals: Array, centre: Array, radius: float, order: int
 ) -> tuple[Array, Array]:
@@ -179,9 +138,7 @@ def expanded_kernels(
     weight = _twice(order)
     value = weight * np.conj(inner[:, 0])
     slope = weight * np.conj(inner_slopes[:, :, 0])
-    r = x - y
-    s = (value @ outer).real
-    ds = (slope @ outer).real.T
+    r, s, ds = x - y, (value @ outer).real, (slope @ outer).real.T
     g = np.einsum("l,jln->nj", value, outer_slopes).real
     h = np.einsum("il,jln->nij", slope, outer_slopes).real
     eye = np.eye(3)
@@ -193,3 +150,27 @@ def expanded_kernels(
     )
     single = s[:, None, None] * eye - np.einsum("ni,nj->nij", ds, r)
     return double / radius**2, single / radius
+
+
+def from_coefficients(
+    centre: Centre, theta: Array, phi: Array, with_single: bool
+) -> tuple[Array, Array | None]:
+    """Kernels at the sources, as `kernel.Kernels` has them, from the coefficients z_lm."""
+    rho_t, tx, tz = centre.target
+    target = np.array([rho_t, 0.0, float(centre.shape.meridian(np.asarray(centre.theta))[1])])
+    place = target + centre.side * centre.radius * np.array([tx, 0.0, tz])
+    shape = (3, 3, *np.broadcast_shapes(theta.shape, phi.shape))
+    theta, phi = (each.ravel() for each in np.broadcast_arrays(theta, phi))
+    (rho, z), cp, sp = centre.shape.meridian(theta), np.cos(phi), np.sin(phi)
+    zero, one = np.zeros_like(phi), np.ones_like(phi)
+    sources = np.stack([rho * cp, rho * sp, z], axis=-1)
+    nr, nz = centre.shape.area_vector(theta)
+    normals = np.stack([nr * cp, nr * sp, nz], axis=-1)
+    # Components (Cartesian, cylindrical, n) of the source's directions.
+    directions = np.array([[cp, -sp, zero], [sp, cp, zero], [zero, zero, one]])
+    double, single = (
+        np.einsum("nij,jbn->ibn", kernel, directions)
+        for kernel in expanded_kernels(target, sources, normals, place, centre.radius, centre.order)
+    )
+    scaled = single * (np.sin(theta) / (8.0 * math.pi))
+    return double.reshape(shape), scaled.reshape(shape) if with_single else None

@@ -81,23 +81,19 @@ class ExteriorFlow:
         from qbxstokes.qbx.exterior_kernel import evaluate
 
         points = np.ascontiguousarray(points, dtype=float)
-        h, n, with_stress = self.harmonics, len(points), "stress" in what
+        h, n = self.harmonics, len(points)
         found = {name: np.empty((n, *WHAT[name])) for name in {"velocity", "pressure", *what}}
         evaluate(
             points,
             h.ratio_of_axes,
             np.ascontiguousarray(np.moveaxis(self.coefficients, 0, -1)).view(np.float64),
-            1.0 / h.ratio,
-            h.rise,
-            h.fall,
-            h.diagonal,
+            h.recurrence,
             self.amplitude,
             tolerance,
             SURFACE_MARGIN,
-            with_stress,
             found["velocity"],
             found["pressure"],
-            found["stress"] if with_stress else np.empty((0, 6)),
+            found.get("stress", np.empty((0, 6))),
         )
         derived = [name for name in ("gradient", "pressure_gradient") if name in what]
         if derived:

@@ -12,83 +12,76 @@ import numpy as np
 from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal, twice
+from qbxstokes.qbx.exterior_kernel import (
+    all_ratios,
+    bends,
+    confocal,
+    second_derivatives,
+    slopes,
+)
+
+
+@njit(inline="always")
+def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
+    """Real part and minus the imaginary part of a value, in two columns."""
+    table[row, i, column], table[row, i, column + 1] = value.real, -value.imag
 
 
 @njit(cache=compiled_are_kept())
-def tabulate(  # type: ignore[no-untyped-def]
-    points, k, degree, orders, inverse_ratio, rise, fall, diagonal, second, table
-):
+def tabulate(points, k, degree, orders, recurrence, second, table):  # type: ignore[no-untyped-def]
     """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
 
     Rows: E, its three first derivatives and, if second, xx, yy, zz, xy, xz, yz. Columns: real part
     and minus the imaginary part of E_nm for m < orders, m <= n <= degree, n fastest, so that
     Re(sum c E) is the product with the real and imaginary parts of c, interleaved.
     """
+    inverse_ratio, rise, fall, diagonal = recurrence
     e2 = (1.0 - k) * (1.0 + k)
-    ratios = np.zeros((orders, degree + 2))
+    ratio, nothing = np.zeros((orders, degree + 2)), complex(0.0, 0.0)
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         rho2 = x * x + y * y
         alpha2, gamma, delta = confocal(rho2, z, e2)
-        alpha = math.sqrt(alpha2)
-        eta = z / gamma
-        sine2 = rho2 / alpha2
-        all_ratios(orders, degree, gamma, alpha, e2, ratios)
-        inv = 1.0 / delta
-        gx, gy, gz = x * gamma * inv, y * gamma * inv, eta * alpha2 * inv
-        hx, hy, hz = -x * eta * inv, -y * eta * inv, gamma * sine2 * inv
-        gxx, gyy, gzz, gxy, gxz, gyz, hxx, hyy, hzz, hxy, hxz, hyz = bends(
-            x, y, gamma, eta, alpha2, sine2, e2, inv, (gx, gy, gz), (hx, hy, hz)
-        )
-        zk = complex(x, y) / k
-        w, w1, w2 = complex(1.0, 0.0), complex(0.0, 0.0), complex(0.0, 0.0)
-        start = 1.0
-        column = 0
+        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
+        all_ratios(orders, degree, gamma, alpha, e2, ratio)
+        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
+        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
+        zk, w, w1, w2 = complex(x, y) / k, complex(1.0, 0.0), nothing, nothing
+        start, column = 1.0, 0
         for m in range(orders):
             q = start
             p, pd, pdd = diagonal[m], 0.0, 0.0
             p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
             for n in range(m, degree + 1):
-                r = ratios[m, n]
+                r = ratio[m, n]
                 q *= r * inverse_ratio[m, n]
                 qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
                 f, fg, fh = q * p, qg * p, q * pd
-                lx, ly, lz = fg * gx + fh * hx, fg * gy + fh * hy, fg * gz + fh * hz
-                value = w * f
-                table[0, i, column], table[0, i, column + 1] = value.real, -value.imag
-                value = w * lx + w1 * f
-                table[1, i, column], table[1, i, column + 1] = value.real, -value.imag
-                value = w * ly + w1 * 1j * f
-                table[2, i, column], table[2, i, column + 1] = value.real, -value.imag
-                value = w * lz
-                table[3, i, column], table[3, i, column + 1] = value.real, -value.imag
+                l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
+                put(table, 0, i, column, w * f)
+                put(table, 1, i, column, w * l[0] + w1 * f)
+                put(table, 2, i, column, w * l[1] + w1 * 1j * f)
+                put(table, 3, i, column, w * l[2])
                 if second:
                     qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
-                    d = (qgg * p, qg * pd, q * pdd, fg, fh)
-                    value = w * twice(d, gx, gx, hx, hx, gxx, hxx) + 2.0 * w1 * lx + w2 * f
-                    table[4, i, column], table[4, i, column + 1] = value.real, -value.imag
-                    value = w * twice(d, gy, gy, hy, hy, gyy, hyy) + 2j * w1 * ly - w2 * f
-                    table[5, i, column], table[5, i, column + 1] = value.real, -value.imag
-                    value = w * twice(d, gz, gz, hz, hz, gzz, hzz)
-                    table[6, i, column], table[6, i, column + 1] = value.real, -value.imag
-                    value = w * twice(d, gx, gy, hx, hy, gxy, hxy)
-                    value += w1 * (ly + 1j * lx) + 1j * w2 * f
-                    table[7, i, column], table[7, i, column + 1] = value.real, -value.imag
-                    value = w * twice(d, gx, gz, hx, hz, gxz, hxz) + w1 * lz
-                    table[8, i, column], table[8, i, column + 1] = value.real, -value.imag
-                    value = w * twice(d, gy, gz, hy, hz, gyz, hyz) + 1j * w1 * lz
-                    table[9, i, column], table[9, i, column + 1] = value.real, -value.imag
+                    fgg, fgh, fhh = qgg * p, qg * pd, q * pdd
+                    xx, yy, zz, xy, xz, yz = second_derivatives(
+                        w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
+                    )
+                    put(table, 4, i, column, xx)
+                    put(table, 5, i, column, yy)
+                    put(table, 6, i, column, zz)
+                    put(table, 7, i, column, xy)
+                    put(table, 8, i, column, xz)
+                    put(table, 9, i, column, yz)
                 column += 2
                 up, down = rise[m, n], fall[m, n]
-                p_next = up * eta * p - down * p_last
-                pd_next = up * (eta * pd + p) - down * pd_last
-                pdd_next = up * (eta * pdd + 2.0 * pd) - down * pdd_last
-                p_last, pd_last, pdd_last = p, pd, pdd
-                p, pd, pdd = p_next, pd_next, pdd_next
-            w2 = (m + 1) / k * w1
-            w1 = (m + 1) / k * w
-            w *= zk
+                p, p_last, pd, pd_last, pdd, pdd_last = (
+                    *(up * eta * p - down * p_last, p),
+                    *(up * (eta * pd + p) - down * pd_last, pd),
+                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
+                )
+            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
             start *= k * k / alpha2
 
 

@@ -73,43 +73,50 @@ def all_ratios(orders, degree, gamma, alpha, e2, out):  # type: ignore[no-untype
         return
     extra = int(_LOG_PRECISION / growth) + 2
     scale = 2.0 / (gamma + alpha)
-    rise = gamma * scale
-    fall = e2 * scale * scale
+    rise, fall = gamma * scale, e2 * scale * scale
     for m in range(min(orders, degree + 1)):
-        above = 1.0
-        here = 1.0
+        above, here = 1.0, 1.0
         n1 = degree + extra + 1.0
         for _ in range(extra):
             below = rise * here - fall * (n1 * n1 - m * m) / (4.0 * n1 * n1 - 1.0) * above
-            above = here
-            here = below
+            above, here = here, below
             n1 -= 1.0
         for n in range(degree, m - 1, -1):
             below = rise * here - fall * (n1 * n1 - m * m) / (4.0 * n1 * n1 - 1.0) * above
             out[m, n] = scale * max(n + m, 1) * here / ((2 * n + 1) * below)
-            above = here
-            here = below
+            above, here = here, below
             n1 -= 1.0
 
 
 @njit(cache=compiled_are_kept())
-def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-untyped-def]
+def slopes(x, y, eta, alpha2, gamma, sine2, inv):  # type: ignore[no-untyped-def]
+    """First derivatives (x, y, z) of gamma and of eta; inv = 1/Delta."""
+    return (
+        (x * gamma * inv, y * gamma * inv, eta * alpha2 * inv),
+        (-x * eta * inv, -y * eta * inv, gamma * sine2 * inv),
+    )
+
+
+@njit(cache=compiled_are_kept())
+def bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h):  # type: ignore[no-untyped-def]
     """Second derivatives of gamma and of eta, xx, yy, zz, xy, xz, yz each, from the first g and h.
 
-    (d_j N_i - gamma_i d_j delta) / delta.
+    (d_j N_i - gamma_i d_j Delta)/Delta.
     """
     gx, gy, gz = g
     hx, hy, hz = h
     dx = 2.0 * (gamma * gx - e2 * eta * hx)
     dy = 2.0 * (gamma * gy - e2 * eta * hy)
     dz = 2.0 * (gamma * gz - e2 * eta * hz)
-    return (
+    of_gamma = (
         (gamma + x * gx - gx * dx) * inv,
         (gamma + y * gy - gy * dy) * inv,
         (hz * alpha2 + 2.0 * eta * gamma * gz - gz * dz) * inv,
         (x * gy - gx * dy) * inv,
         (x * gz - gx * dz) * inv,
         (y * gz - gy * dz) * inv,
+    )
+    of_eta = (
         (-eta - x * hx - hx * dx) * inv,
         (-eta - y * hy - hy * dy) * inv,
         (gz * sine2 - 2.0 * gamma * eta * hz - hz * dz) * inv,
@@ -117,59 +124,59 @@ def bends(x, y, gamma, eta, alpha2, sine2, e2, inv, g, h):  # type: ignore[no-un
         (-x * hz - hx * dz) * inv,
         (-y * hz - hy * dz) * inv,
     )
+    return of_gamma, of_eta
 
 
-@njit(cache=compiled_are_kept())
-def twice(d, gi, gj, hi, hj, gij, hij):  # type: ignore[no-untyped-def]
-    """Second derivative ij of a function of gamma and eta with derivatives d: gg, gh, hh, g, h."""
-    gg, gh, hh, g, h = d
-    return gg * (gi * gj) + gh * (gi * hj + gj * hi) + hh * (hi * hj) + g * gij + h * hij
+@njit(inline="always")
+def second_derivatives(w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh):  # type: ignore[no-untyped-def]
+    """xx, yy, zz, xy, xz, yz of w f, w = ((x + i y)/k)^m; l: first ones of f(gamma, eta)."""
+    gx, gy, gz = g
+    hx, hy, hz = h
+    lx, ly, lz = l
+    xx = fgg * (gx * gx) + fgh * (2.0 * gx * hx) + fhh * (hx * hx) + fg * gg[0] + fh * hh[0]
+    yy = fgg * (gy * gy) + fgh * (2.0 * gy * hy) + fhh * (hy * hy) + fg * gg[1] + fh * hh[1]
+    zz = fgg * (gz * gz) + fgh * (2.0 * gz * hz) + fhh * (hz * hz) + fg * gg[2] + fh * hh[2]
+    xy = fgg * (gx * gy) + fgh * (gx * hy + gy * hx) + fhh * (hx * hy) + fg * gg[3] + fh * hh[3]
+    xz = fgg * (gx * gz) + fgh * (gx * hz + gz * hx) + fhh * (hx * hz) + fg * gg[4] + fh * hh[4]
+    yz = fgg * (gy * gz) + fgh * (gy * hz + gz * hy) + fhh * (hy * hz) + fg * gg[5] + fh * hh[5]
+    return (
+        w * xx + 2.0 * w1 * lx + w2 * f,
+        w * yy + 2j * w1 * ly - w2 * f,
+        w * zz,
+        w * xy + w1 * (ly + 1j * lx) + 1j * w2 * f,
+        w * xz + w1 * lz,
+        w * yz + 1j * w1 * lz,
+    )
 
 
 @njit(cache=compiled_are_kept())
 def evaluate(  # type: ignore[no-untyped-def]
-    points,
-    k,
-    coefficients,
-    inverse_ratio,
-    rise,
-    fall,
-    diagonal,
-    amplitude,
-    tolerance,
-    margin,
-    with_stress,
-    velocity,
-    pressure,
-    stress,
+    points, k, coefficients, recurrence, amplitude, tolerance, margin, velocity, pressure, stress
 ):
     """Velocity, pressure and stress of u = B + grad(C - x . B), x held fixed, at points (N, 3).
 
     k: equatorial semi-axis, in units of the polar one.
     coefficients (orders, degree + 1, 8): those of B_x, B_y, B_z, C on the harmonics E_nm, real and
-    imaginary part each; of their sum the real part is taken. inverse_ratio: 1 / ratio on the
-    surface. rise, fall, diagonal: recurrence of p_n^m. amplitude (degree + 1): size of the terms of
-    each degree on the surface; at a point, degrees whose sum stays below tolerance are left out.
+    imaginary part each; of their sum the real part is taken. recurrence: of `Harmonics`. amplitude
+    (degree + 1): size of the terms of each degree on the surface; at a point, degrees whose sum
+    stays below tolerance are left out.
     The pressure is -2 div B and the stress 2 I div B + 2 grad grad (C - x . B)
-    (Papkovich and Neuber; Kim & Karrila 1991, sec. 4.2). stress: xx, yy, zz, xy, xz, yz.
-    Points inside the surface by more than margin (in the sum of squares that is 1 on it) get NaN.
-    Returns the sum over points of the degree used: a measure of the work.
+    (Papkovich and Neuber; Kim & Karrila 1991, sec. 4.2). stress: xx, yy, zz, xy, xz, yz, of no
+    points where it is not wanted. Points inside the surface by more than margin (in the sum of
+    squares that is 1 on it) get NaN.
     """
-    e2 = (1.0 - k) * (1.0 + k)
+    inverse_ratio, rise, fall, diagonal = recurrence
+    e2, with_stress = (1.0 - k) * (1.0 + k), stress.shape[0] > 0
     orders, top = coefficients.shape[0], coefficients.shape[1] - 1
     used = np.zeros((orders, top + 1), dtype=np.bool_)
     for m in range(orders):
         for n in range(m, top + 1):
             used[m, n] = np.any(coefficients[m, n] != 0.0)
     # Sums over n of c E_nm and of its derivatives in gamma (g) and eta (h): E, g, h, gg, gh, hh.
-    parts = np.zeros((6, 8))
+    parts, ratio = np.zeros((6, 8)), np.zeros((orders, top + 2))
     sums = parts.view(np.complex128)
-    table = np.zeros((orders, top + 2))
-    work = 0
     for i in range(points.shape[0]):
-        x = points[i, 0]
-        y = points[i, 1]
-        z = points[i, 2]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         rho2 = x * x + y * y
         # NaN coordinates fail the comparison and are marked as well.
         if not (rho2 / (k * k) + z * z >= 1.0 - margin):
@@ -179,37 +186,22 @@ def evaluate(  # type: ignore[no-untyped-def]
                 stress[i, :] = np.nan
             continue
         alpha2, gamma, delta = confocal(rho2, z, e2)
-        alpha = math.sqrt(alpha2)
-        eta = z / gamma
-        sine2 = rho2 / alpha2
-        decay = (1.0 + k) / (gamma + alpha)
-        degree = top
+        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
+        decay, degree = (1.0 + k) / (gamma + alpha), top
         if tolerance > 0.0:
-            tail = 0.0
-            power = decay ** (top + 1)
+            tail, power = 0.0, decay ** (top + 1)
             while degree > 1:
                 tail += amplitude[degree] * power
                 if tail > tolerance:
                     break
                 power /= decay
                 degree -= 1
-        work += degree
         n_orders = min(orders, degree + 1)
-        all_ratios(n_orders, degree, gamma, alpha, e2, table)
-        inv = 1.0 / delta
-        gx = x * gamma * inv
-        gy = y * gamma * inv
-        gz = eta * alpha2 * inv
-        hx = -x * eta * inv
-        hy = -y * eta * inv
-        hz = gamma * sine2 * inv
-
+        all_ratios(n_orders, degree, gamma, alpha, e2, ratio)
+        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
+        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
         ux, uy, uz, div = 0.0, 0.0, 0.0, 0.0
         fxx, fyy, fzz, fxy, fxz, fyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if with_stress:
-            gxx, gyy, gzz, gxy, gxz, gyz, hxx, hyy, hzz, hxy, hxz, hyz = bends(
-                x, y, gamma, eta, alpha2, sine2, e2, inv, (gx, gy, gz), (hx, hy, hz)
-            )
         zk = complex(x, y) / k
         w, w1, w2 = complex(1.0, 0.0), complex(0.0, 0.0), complex(0.0, 0.0)
         start = 1.0  # (k / alpha)^(2 m)
@@ -219,7 +211,7 @@ def evaluate(  # type: ignore[no-untyped-def]
             p, pd, pdd = diagonal[m], 0.0, 0.0
             p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
             for n in range(m, degree + 1):
-                r = table[m, n]
+                r = ratio[m, n]
                 q *= r * inverse_ratio[m, n]
                 if used[m, n]:
                     qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
@@ -238,52 +230,38 @@ def evaluate(  # type: ignore[no-untyped-def]
                             parts[4, j] += egh * c
                             parts[5, j] += ehh * c
                 up, down = rise[m, n], fall[m, n]
-                p_next = up * eta * p - down * p_last
-                pd_next = up * (eta * pd + p) - down * pd_last
-                pdd_next = up * (eta * pdd + 2.0 * pd) - down * pdd_last
-                p_last, pd_last, pdd_last = p, pd, pdd
-                p, pd, pdd = p_next, pd_next, pdd_next
+                p, p_last, pd, pd_last, pdd, pdd_last = (
+                    *(up * eta * p - down * p_last, p),
+                    *(up * (eta * pd + p) - down * pd_last, pd),
+                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
+                )
             b0, b1, b2 = sums[0, 0], sums[0, 1], sums[0, 2]
             bg0, bg1, bg2 = sums[1, 0], sums[1, 1], sums[1, 2]
             bh0, bh1, bh2 = sums[2, 0], sums[2, 1], sums[2, 2]
             f = sums[0, 3] - x * b0 - y * b1 - z * b2
             fg = sums[1, 3] - x * bg0 - y * bg1 - z * bg2
             fh = sums[2, 3] - x * bh0 - y * bh1 - z * bh2
-            lx = fg * gx + fh * hx
-            ly = fg * gy + fh * hy
-            lz = fg * gz + fh * hz
-            ux += (w * (b0 + lx) + w1 * f).real
-            uy += (w * (b1 + ly) + w1 * 1j * f).real
-            uz += (w * (b2 + lz)).real
-            div += (
-                w * (bg0 * gx + bh0 * hx + bg1 * gy + bh1 * hy + bg2 * gz + bh2 * hz)
-                + w1 * (b0 + 1j * b1)
-            ).real
+            l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
+            ux += (w * (b0 + l[0]) + w1 * f).real
+            uy += (w * (b1 + l[1]) + w1 * 1j * f).real
+            uz += (w * (b2 + l[2])).real
+            slope = bg0 * g[0] + bh0 * h[0] + bg1 * g[1] + bh1 * h[1]
+            slope += bg2 * g[2] + bh2 * h[2]
+            div += (w * slope + w1 * (b0 + 1j * b1)).real
             if with_stress:
                 fgg = sums[3, 3] - x * sums[3, 0] - y * sums[3, 1] - z * sums[3, 2]
                 fgh = sums[4, 3] - x * sums[4, 0] - y * sums[4, 1] - z * sums[4, 2]
                 fhh = sums[5, 3] - x * sums[5, 0] - y * sums[5, 1] - z * sums[5, 2]
-                d = (fgg, fgh, fhh, fg, fh)
-                fxx += (w * twice(d, gx, gx, hx, hx, gxx, hxx) + 2.0 * w1 * lx + w2 * f).real
-                fyy += (w * twice(d, gy, gy, hy, hy, gyy, hyy) + 2j * w1 * ly - w2 * f).real
-                fzz += (w * twice(d, gz, gz, hz, hz, gzz, hzz)).real
-                turned = w1 * (ly + 1j * lx) + 1j * w2 * f
-                fxy += (w * twice(d, gx, gy, hx, hy, gxy, hxy) + turned).real
-                fxz += (w * twice(d, gx, gz, hx, hz, gxz, hxz) + w1 * lz).real
-                fyz += (w * twice(d, gy, gz, hy, hz, gyz, hyz) + 1j * w1 * lz).real
-            w2 = (m + 1) / k * w1
-            w1 = (m + 1) / k * w
-            w *= zk
+                xx, yy, zz, xy, xz, yz = second_derivatives(
+                    w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
+                )
+                fxx, fyy, fzz = fxx + xx.real, fyy + yy.real, fzz + zz.real
+                fxy, fxz, fyz = fxy + xy.real, fxz + xz.real, fyz + yz.real
+            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
             start *= k * k / alpha2
-        velocity[i, 0] = ux
-        velocity[i, 1] = uy
-        velocity[i, 2] = uz
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = ux, uy, uz
         pressure[i] = -2.0 * div
         if with_stress:
-            stress[i, 0] = 2.0 * (div + fxx)
-            stress[i, 1] = 2.0 * (div + fyy)
-            stress[i, 2] = 2.0 * (div + fzz)
-            stress[i, 3] = 2.0 * fxy
-            stress[i, 4] = 2.0 * fxz
-            stress[i, 5] = 2.0 * fyz
-    return work
+            stress[i, 0], stress[i, 3] = 2.0 * (div + fxx), 2.0 * fxy
+            stress[i, 1], stress[i, 4] = 2.0 * (div + fyy), 2.0 * fxz
+            stress[i, 2], stress[i, 5] = 2.0 * (div + fzz), 2.0 * fyz

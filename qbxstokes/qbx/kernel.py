@@ -25,6 +25,7 @@ from typing import Protocol
 
 import numpy as np
 
+from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.panels import Rule
 from qbxstokes.typing import Array, Integers
@@ -196,12 +197,28 @@ def interpolation(
     return even, odd
 
 
+def density_parts(
+    m: int, theta: Array, grid: SurfaceGrid, even: Array, odd: Array
+) -> tuple[Array, Array, Array]:
+    """Interpolation (n, n_theta) of mode m: z from z, rho from rho (and phi from phi), and across.
+
+    On a grid in cos(theta) the density is a polynomial in cos(theta) times the power of sin(theta)
+    with which a smooth field vanishes at the pole: for m >= 1 the component z as sin^m, the
+    combinations rho + phi / i and rho - phi / i as sin^(m-1) and sin^(m+1), of which the parity is
+    kept and the square that tells the last two apart. That is exact for polynomial densities and
+    leaves out fields that no polynomial approaches.
+    """
+    along, across = (even, odd) if m % 2 == 0 else (odd, even)
+    apart: Array | float = 1.0
+    if grid.nodes == "cosine" and m > 0:
+        apart = (np.sin(theta)[:, None] / np.sin(grid.theta)) ** 2
+    return along, 0.5 * (1.0 + apart) * across, 0.5 * (1.0 - apart) * across
+
+
 def layer_row(
     centre: Centre,
     rule: Rule,
-    grid_theta: Array,
-    barycentric: Array,
-    cosine: bool,
+    grid: SurfaceGrid,
     n_modes: int,
     with_single: bool,
     kernels: Kernels = target_specific,
@@ -211,13 +228,7 @@ def layer_row(
     Value in cylindrical components (rho, phi, z) at the target (theta, phi = 0) of the layer with
     density psi_b(theta) exp(i m phi), the phi components carrying a factor i so that all is real:
     (u_rho, u_phi / i, u_z) = sum_b row[m, a, b, :] . (psi_rho, psi_phi / i, psi_z). The second
-    array has n_modes = 0 unless with_single. rule: see `panels`.
-
-    With cosine the density is interpolated as a polynomial in cos(theta) times the power of
-    sin(theta) with which a smooth field vanishes at the pole: for mode m >= 1 the component z as
-    sin^m, the combinations rho + phi / i and rho - phi / i as sin^(m-1) and sin^(m+1), of which the
-    parity is kept and the square that tells the last two apart. That is exact for polynomial
-    densities and leaves out fields that no polynomial approaches.
+    array has n_modes = 0 unless with_single. rule: see `panels`. grid: that carries the density.
     """
     theta_nodes, theta_weights, phi_start, phi_stop, phi_nodes, phi_weights = rule
     modes = np.arange(n_modes)
@@ -235,14 +246,11 @@ def layer_row(
             part[0, 1], part[2, 1] = -kernel[0, 1] @ sine_m, -kernel[2, 1] @ sine_m
             part[1, 0], part[1, 2] = kernel[1, 0] @ sine_m, kernel[1, 2] @ sine_m
             total[:, :, nodes] = part
-    even, odd = interpolation(theta_nodes, grid_theta, barycentric, cosine)
+    even, odd = interpolation(theta_nodes, grid.theta, grid.barycentric, grid.nodes == "cosine")
     even, odd = theta_weights[:, None] * even, theta_weights[:, None] * odd
-    squares = (np.sin(theta_nodes)[:, None] / np.sin(grid_theta)) ** 2
-    rows = [np.empty((n_modes, 3, 3, grid_theta.size)) for _ in sums]
+    rows = [np.empty((n_modes, 3, 3, grid.n_theta)) for _ in sums]
     for m in range(n_modes):
-        along, across = (even, odd) if m % 2 == 0 else (odd, even)
-        apart = squares if cosine and m > 0 else 1.0
-        same, other = 0.5 * (1.0 + apart) * across, 0.5 * (1.0 - apart) * across
+        along, same, other = density_parts(m, theta_nodes, grid, even, odd)
         for row, total in zip(rows, sums, strict=True):
             rho, phi, z = total[:, 0, :, m], total[:, 1, :, m], total[:, 2, :, m]
             row[m, :, 0] = rho @ same + phi @ other

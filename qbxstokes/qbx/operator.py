@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 from qbxstokes.errors import CaseError
-from qbxstokes.geometry.grid import SurfaceGrid, gauss_legendre
+from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.qbx.harmonics import from_coefficients
+from qbxstokes.qbx.expansion import from_coefficients
 from qbxstokes.qbx.kernel import Centre, Kernels, layer_row, target_specific
 from qbxstokes.qbx.panels import Rule, graded_rule, uniform_rule
 from qbxstokes.typing import Array
@@ -57,21 +57,20 @@ class GradedScheme:
         """Expansion radius at theta, in c."""
         return self.radius_factor * shape.admissible_radius(theta).item()
 
-    def rule(self, shape: Revolution, theta: float, side: int, n_modes: int) -> Rule:
-        """Source rule of the centre on the given side of the target at theta."""
-        x, w = gauss_legendre(self.panel_order)
-        return graded_rule(
-            shape,
-            theta,
-            side,
-            self.radius(shape, theta),
-            self.panel_ratio,
-            # A panel must resolve the interpolated density and the azimuthal modes as well.
-            np.pi * self.panel_order / (self.n_theta + 8),
-            np.pi * self.panel_order / (2 * (n_modes + 3)),
-            x,
-            w,
-        )
+    def rule(
+        self,
+        shape: Revolution,
+        theta: float,
+        side: int,
+        n_modes: int,
+        radius: float | None = None,
+    ) -> Rule:
+        """Source rule of the centre at a radius, by default its own, from the target at theta."""
+        # A panel must resolve the interpolated density and the azimuthal modes as well.
+        turn, order = np.pi * self.panel_order, self.panel_order
+        longest = turn / (self.n_theta + 8), turn / (2 * (n_modes + 3))
+        away = self.radius(shape, theta) if radius is None else radius
+        return graded_rule(shape, theta, side, away, self.panel_ratio, order, longest)
 
 
 @dataclass(frozen=True)
@@ -158,24 +157,10 @@ def layer_rows(
     for index, row in enumerate(rows):
         theta = float(grid.theta[row])
         for side in sides:
-            centre = Centre(
-                shape,
-                theta,
-                side,
-                scheme.radius(shape, theta),
-                scheme.expansion_order,
-            )
+            radius = scheme.radius(shape, theta)
+            centre = Centre(shape, theta, side, radius, scheme.expansion_order)
             rule = scheme.rule(shape, theta, side, n_modes)
-            pair = layer_row(
-                centre,
-                rule,
-                grid.theta,
-                grid.barycentric,
-                grid.nodes == "cosine",
-                n_modes,
-                with_single,
-                kernels,
-            )
+            pair = layer_row(centre, rule, grid, n_modes, with_single, kernels)
             double[index] += pair[0]
             single[index] += pair[1]
         if len(sides) == 1:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from qbxstokes.geometry.grid import PolarNodes, gauss_legendre, polar_rule
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.typing import Array, Integers
 
@@ -37,17 +38,15 @@ def graded_rule(
     side: int,
     radius: float,
     ratio: float,
-    max_theta: float,
-    max_phi: float,
-    x: Array,
-    w: Array,
+    order: int,
+    longest: tuple[float, float],
 ) -> Rule:
     """Panels split until both their lengths are at most ratio times their distance to the centre.
 
-    x, w: Gauss-Legendre nodes and weights on [-1, 1] used on every panel and direction.
-    max_theta, max_phi: bounds on a panel's angles that keep the density and the azimuthal modes
-    resolved. A panel is a rectangle of angles and is halved along its longer side; each brings its
-    own theta nodes, so that equal ones may occur more than once.
+    order: nodes of Gauss and Legendre's rule on every panel and direction. longest: bounds on a
+    panel's angles that keep the density and the azimuthal modes resolved. A panel is a rectangle of
+    angles and is halved along its longer side; each brings its own theta nodes, so that equal ones
+    may occur more than once.
     """
     at = np.asarray(theta_target)
     (rho, z), (d_rho, d_z), speed = shape.meridian(at), shape.tangent(at), shape.speed(at)
@@ -60,8 +59,8 @@ def graded_rule(
         length, nearest, widest = _look(shape, a, b, low, cx, cz)
         arc = (high - low) * widest
         # The longer side first: thin bodies need no cut around their waist.
-        tall = (length > ratio * nearest) & (length >= arc) | (b - a > max_theta)
-        wide = (arc > ratio * nearest) & (arc > length) | (high - low > max_phi)
+        tall = (length > ratio * nearest) & (length >= arc) | (b - a > longest[0])
+        wide = (arc > ratio * nearest) & (arc > length) | (high - low > longest[1])
         if depth == MAX_DEPTH:
             tall[:] = wide[:] = False
         finished.append(panels[~(tall | wide)])
@@ -75,9 +74,9 @@ def graded_rule(
         if not len(panels):
             break
     a, b, low, high = np.concatenate(finished).T
-    n = x.size
-    start = np.repeat(n * np.arange(a.size), n)
-    return *_nodes(a, b, x, 0.5 * w), start, start + n, *_nodes(low, high, x, w)
+    x, w = gauss_legendre(order)
+    start = np.repeat(order * np.arange(a.size), order)
+    return *_nodes(a, b, x, 0.5 * w), start, start + order, *_nodes(low, high, x, w)
 
 
 def _halves(panels: Array, side: int) -> Array:
@@ -93,18 +92,16 @@ def _nodes(low: Array, high: Array, x: Array, w: Array) -> tuple[Array, Array]:
     return (middle[:, None] + half[:, None] * x).ravel(), np.outer(high - low, w).ravel()
 
 
-def uniform_rule(n_theta: int, n_phi: int) -> Rule:
-    """Gauss-Legendre in theta and trapezoid in phi on the upsampled grid (Bagge 2015, 5.3.3).
+def uniform_rule(n_theta: int, n_phi: int, nodes: PolarNodes = "theta") -> Rule:
+    """Gauss-Legendre in theta (Bagge 2015, 5.3.3) or cos(theta), trapezoid in phi.
 
     The trapezoid rule over the whole circle is folded onto [0, pi] by the mirror symmetry of the
     kernel in phi, which changes nothing: the target sits at phi = 0, a node of the rule.
     """
-    x, w = np.polynomial.legendre.leggauss(n_theta)
     j = np.arange(n_phi // 2 + 1)
     weights = np.full(j.size, 4.0 * np.pi / n_phi)
     weights[0] /= 2.0
     if n_phi % 2 == 0:
         weights[-1] /= 2.0
-    start = np.zeros(n_theta, np.int64)
-    stop = np.full(n_theta, j.size, np.int64)
-    return (np.pi * (x + 1) / 2, np.pi / 2 * w, start, stop, 2.0 * np.pi * j / n_phi, weights)
+    start, stop = np.zeros(n_theta, np.int64), np.full(n_theta, j.size, np.int64)
+    return *polar_rule(n_theta, nodes), start, stop, 2.0 * np.pi * j / n_phi, weights
