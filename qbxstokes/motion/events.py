@@ -106,15 +106,54 @@ class Passage:
         return math.atan2(across, self.stretch * along)
 
 
+@dataclass(kw_only=True)
+class EventLog:
+    """What was seen in a run.
+
+    found: rows by name since `take` was called last. first, last: rows of the whole run; counts:
+    how many there were. ended: name and reason of what ended the run.
+    """
+
+    found: dict[str, list[list[float]]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    first: dict[str, list[float]] = field(default_factory=dict)
+    last: dict[str, list[float]] = field(default_factory=dict)
+    ended: tuple[str, str] = ("", "")
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered from step to step, as plain data for a checkpoint."""
+        return {
+            "counts": dict(self.counts),
+            "first": {name: list(row) for name, row in self.first.items()},
+            "last": {name: list(row) for name, row in self.last.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        self.counts = dict(state["counts"])
+        self.first, self.last = dict(state["first"]), dict(state["last"])
+
+    def take(self) -> dict[str, Array]:
+        """The rows found since the last call."""
+        found = {name: np.array(rows) for name, rows in self.found.items()}
+        self.found = {}
+        return found
+
+    def record(self, name: str, row: list[float]) -> None:
+        """Note an event."""
+        self.found.setdefault(name, []).append(row)
+        self.counts[name] = self.counts.get(name, 0) + 1
+        self.first.setdefault(name, row)
+        self.last[name] = row
+
+
 @dataclass
-class Events:
+class Events(EventLog):
     """The events of one body's motion; call it with every step.
 
     frame: of the shear in which the orbit constant is meant. contacts: what the body must not
-    reach, which ends the run. found: rows by name since `take` was
-    called last: time, position (3), axis (3), velocity (3), orbit constant; a half-turn has the
-    time and the displacement since the last but one besides, a whole turn. first, last: rows of
-    the whole run; counts: how many there were. ended: name and reason of what ended the run.
+    reach, which ends the run. Rows hold time, position (3), axis (3), velocity (3), orbit constant;
+    a half-turn has the time and the displacement since the last but one besides, a whole turn.
     """
 
     equations: RigidBodyEquations
@@ -122,12 +161,7 @@ class Events:
     events: Sequence[Event] = ()
     frame: ShearFrame | None = None
     contacts: Contacts | None = None
-    found: dict[str, list[list[float]]] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    first: dict[str, list[float]] = field(default_factory=dict)
-    last: dict[str, list[float]] = field(default_factory=dict)
     recent: list[list[float]] = field(default_factory=list)
-    ended: tuple[str, str] = ("", "")
 
     def __post_init__(self) -> None:
         """Put the half-turns with the other events."""
@@ -138,10 +172,7 @@ class Events:
 
     def state(self) -> dict[str, Any]:
         """All that is remembered from step to step, as plain data for a checkpoint."""
-        return {
-            "counts": dict(self.counts),
-            "first": {name: list(row) for name, row in self.first.items()},
-            "last": {name: list(row) for name, row in self.last.items()},
+        return super().state() | {
             "recent": [list(row) for row in self.recent],
             "signs": dict(self._signs),
             "nearest": {} if self.contacts is None else dict(self.contacts.nearest),
@@ -149,18 +180,11 @@ class Events:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave."""
-        self.counts = dict(state["counts"])
-        self.first, self.last = dict(state["first"]), dict(state["last"])
+        super().restore(state)
         self.recent = [list(row) for row in state["recent"]]
         self._signs = dict(state["signs"])
         if self.contacts is not None:
             self.contacts.nearest = {name: tuple(least) for name, least in state["nearest"].items()}
-
-    def take(self) -> dict[str, Array]:
-        """The rows found since the last call."""
-        found = {name: np.array(rows) for name, rows in self.found.items()}
-        self.found = {}
-        return found
 
     def begin(self, t: float, y: Array) -> None:
         """Look at the start, where a body may be at rest already."""
@@ -245,10 +269,7 @@ class Events:
                 turn = [now - then for now, then in zip(row[0:4], earlier, strict=True)]
             self.recent.append(row[0:4])
             row += turn
-        self.found.setdefault(event.name, []).append(row)
-        self.counts[event.name] = self.counts.get(event.name, 0) + 1
-        self.first.setdefault(event.name, row)
-        self.last[event.name] = row
+        self.record(event.name, row)
 
 
 def turning_point(equations: RigidBodyEquations, component: str, scale: float) -> Event:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.coupled import CoupledEquations
+from qbxstokes.motion.events import EventLog
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.motion.roots import root
 
@@ -43,15 +44,14 @@ class Nearness:
 
 
 @dataclass
-class Meetings:
+class Meetings(EventLog):
     """Watches the steps of one scene; call it with every step.
 
     nearness: of states (N, n_state). arm (N,): largest distance of each surface from its centre.
     normal: of a wall, towards which alone ways count; edges: whether ways count for other reasons.
-    turning: coordinates ("x1", "d3", ...) whose turning points are recorded of every body. found,
-    counts, first, last, ended: as in `events.Events`; rows hold time, body, other body (0: none or
-    the wall), the least gap of the scene and the body's position. nearest: least gap at the end of
-    a step, who, and when.
+    turning: coordinates ("x1", "d3", ...) whose turning points are recorded of every body. Rows
+    hold time, body, other body (0: none or the wall), the least gap of the scene and the body's
+    position. nearest: least gap at the end of a step, who, and when.
     """
 
     equations: CoupledEquations
@@ -60,39 +60,24 @@ class Meetings:
     normal: Array | None = None
     edges: bool = False
     turning: Sequence[str] = ()
-    found: dict[str, list[list[float]]] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    first: dict[str, list[float]] = field(default_factory=dict)
-    last: dict[str, list[float]] = field(default_factory=dict)
     nearest: tuple[float, tuple[int, int], float] | None = None
-    ended: tuple[str, str] = ("", "")
     _latest: tuple[float, Nearness] | None = None
     _speeds: dict[str, list[float]] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
         """All that is remembered from step to step, as plain data for a checkpoint."""
-        return {
-            "counts": dict(self.counts),
-            "first": {name: list(row) for name, row in self.first.items()},
-            "last": {name: list(row) for name, row in self.last.items()},
+        return super().state() | {
             "nearest": self.nearest,
             "speeds": {name: list(row) for name, row in self._speeds.items()},
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave."""
-        self.counts = dict(state["counts"])
-        self.first, self.last = dict(state["first"]), dict(state["last"])
+        super().restore(state)
         if state["nearest"] is not None:
             gap, pair, t = state["nearest"]
             self.nearest = gap, (pair[0], pair[1]), t
         self._speeds = {name: list(row) for name, row in state["speeds"].items()}
-
-    def take(self) -> dict[str, Array]:
-        """The rows found since the last call."""
-        found = {name: np.array(rows) for name, rows in self.found.items()}
-        self.found = {}
-        return found
 
     def begin(self, t: float, y: Array) -> None:
         """Look at the start."""
@@ -199,7 +184,4 @@ class Meetings:
 
     def _record(self, name: str, t: float, y: Array, body: int, other: int, gap: float) -> None:
         row = [t, float(body), float(other), gap, *y[body - 1, POSITION].tolist()]
-        self.found.setdefault(name, []).append(row)
-        self.counts[name] = self.counts.get(name, 0) + 1
-        self.first.setdefault(name, row)
-        self.last[name] = row
+        self.record(name, row)
