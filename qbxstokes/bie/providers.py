@@ -11,19 +11,22 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
-from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, motion_change
+from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, flow_sizes, motion_change
 from qbxstokes.errors import FlowError
 from qbxstokes.geometry.rotation import matrix, multiply
 from qbxstokes.typing import Array
 
 # A third of a turn about (1, 1, 1) and back: each axis comes to lie along the others.
 _TURNS = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5]])
+# Grids of a run, coarser first; from the last on the nodes grow by a quarter. What a grid may miss
+# of what is allowed where it is chosen.
+_RUNGS, _MARGIN = ((3, 5), (4, 6), (4, 8), (6, 8)), 0.3
 
 
 class BackgroundFlow(Protocol):
@@ -122,11 +125,18 @@ class AdaptiveGridMotion:
 class MonitoredGridMotion:
     """Free motion in a flow that tells nothing of its singular points, on grids that prove fine.
 
-    Every body and instant is computed on two grids, the coarser of two thirds of the nodes. The
+    Asked for a motion, it computes it on two grids, the coarser of two thirds of the nodes. The
     error of a smooth flow falls geometrically with the nodes, so that the finer one errs by the
     power 3/2 of what the coarser one does; where that exceeds the tolerance, both grow by a
-    quarter. Nothing is remembered from one call to the next but the grids: a motion that is resumed
-    is the same. Raises FlowError, with time and place, where MOST_NODES do not suffice.
+    quarter.
+
+    In a run (`begin`, `rest`) it takes one grid, the coarsest that serves: for bodies much smaller
+    than the scale of the flow one of 15 or 24 points, which is exact for flows of degree 2 or 3.
+    Where a step has ended (`accept`) it is held against one that is finer by two rungs, and what
+    it misses of U and Omega must be less than what the run allows, or than the tolerance; else the
+    step is to be taken again, on a finer grid. Nothing is remembered beyond a beginning: a motion
+    that is resumed is the same. Raises FlowError, with time and place, where MOST_NODES do not
+    suffice.
     """
 
     def __init__(
@@ -136,33 +146,42 @@ class MonitoredGridMotion:
         tolerance: float,
         start: tuple[int, int],
     ) -> None:
-        """start: polar and azimuthal nodes of the finer grid to begin with."""
+        """start: polar and azimuthal nodes of the finer grid to begin with, outside of a run."""
         self._functional, self._flow = functional, flow
         # A digit below the power of the tolerance: the rate is known up to a factor.
         self._tolerance, self._least = tolerance, 0.1 * tolerance ** (2.0 / 3.0)
-        self._start = start
-        self._pairs: dict[tuple[int, int], tuple[GridMotion, GridMotion]] = {}
-        self.finest = start
+        self._start, self.finest = start, start
+        self._grids: dict[tuple[int, int], GridMotion] = {}
+        self._rungs = list(_RUNGS)
+        self._rung: int | None = None
+        self._accepted, self._allowed = 0, (0.0, 0.0)
 
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega (n, 3) in space at positions x (n, 3), orientations q (n, 4)."""
+        rotation = matrix(q)
+        if self._rung is not None:
+            motion, _ = self._sampled(self._on_rung(self._rung), t, x, rotation)
+        else:
+            motion = self._proved(t, x, rotation)
+        return _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
+
+    def _proved(self, t: float, x: Array, rotation: Array) -> Array:
+        """Free motion (n, 6) in the body frame on grids as fine as each of the bodies asks for."""
         motion, waiting, level = np.empty((len(x), 6)), np.arange(len(x)), self._start
         while True:
-            motion[waiting], change = self._on_level(level, t, x[waiting], q[waiting])
+            coarse = max(4, 2 * level[0] // 3), max(4, 2 * level[1] // 3)
+            places = t, x[waiting], rotation[waiting]
+            motion[waiting], sizes = self._sampled(self._grid(level), *places)
+            rough, _ = self._sampled(self._grid(coarse), *places)
+            change = self._change(motion[waiting], rough, sizes)
             self.finest = max(self.finest, level)
-            # No grid helps where the flow has no value: the motion has none, either.
-            open_still = np.isfinite(motion[waiting]).all(axis=1) & ~(change <= self._least)
+            open_still = ~(change <= self._least)
             waiting, change = waiting[open_still], change[open_still]
             if not len(waiting):
-                return motion[:, :3], motion[:, 3:]
+                return motion
             if level[0] >= MOST_NODES:
-                where = ", ".join(f"{value:.6g}" for value in x[waiting[0]])
-                raise FlowError(
-                    f"at t = {t:.6g}, body at ({where}): the flow varies too much over the body: "
-                    f"the free motion still changes by {np.max(change):.1e} between grids of up to "
-                    f"{level[0]} x {level[1]} points; a singular point must be very near"
-                )
-            level = (min(_step(level[0] + 1), MOST_NODES), _step(level[1] + 1))
+                raise self._beyond(t, x[waiting[0]], float(np.max(change)), level[0])
+            level = _finer(level)
 
     def calibrate(self, x: Array, q: Array) -> None:
         """Begin with grids that serve a body at x (3,) that lies as q (4,) and two other ways."""
@@ -171,27 +190,91 @@ class MonitoredGridMotion:
             self.free_motion(0.0, np.broadcast_to(x, (len(turned), 3)), np.array(turned))
             self._start = self.finest
 
-    def _on_level(
-        self, level: tuple[int, int], t: float, x: Array, q: Array
-    ) -> tuple[Array, Array]:
-        """U and Omega (n, 6) in space on the finer grid, and what the coarser one changes (n,)."""
-        coarse, fine = self._pair(level)
-        rotation = matrix(q)
-        flow, motion = fine.in_body(t, x, rotation)
-        _, rough = coarse.in_body(t, x, rotation)
-        with np.errstate(invalid="ignore"):
-            change = motion_change(motion, rough, flow, self._functional.grid.shape.radius)
-        parts = _to_space(rotation, motion[:, :3]), _to_space(rotation, motion[:, 3:])
-        return np.concatenate(parts, axis=1), change
+    def begin(self, t: float, x: Array, q: Array, allowed: tuple[float, float]) -> None:
+        """Go over to one grid, the coarsest that serves bodies at x, q; allowed: of U and Omega."""
+        self._allowed, self._rung, self._accepted = allowed, 0, 0
+        self._climb(t, x, q)
 
-    def _pair(self, level: tuple[int, int]) -> tuple[GridMotion, GridMotion]:
-        """The grid of these nodes and the one of two thirds of them, coarser first."""
-        if level not in self._pairs:
-            polar, azimuthal = (max(4, 2 * nodes // 3) for nodes in level)
-            coarse = self._functional.on_grid(azimuthal, polar)
-            fine = self._functional.on_grid(level[1], level[0])
-            self._pairs[level] = GridMotion(coarse, self._flow), GridMotion(fine, self._flow)
-        return self._pairs[level]
+    def rest(self) -> None:
+        """No longer on one grid."""
+        self._rung = None
+
+    def accept(self, t: float, x: Array, q: Array) -> bool:
+        """Whether the grid serves where a step has ended; it is a finer one from there on if not.
+
+        Now and then a coarser one is tried where it serves well.
+        """
+        assert self._rung is not None
+        self._accepted += 1
+        excess, _ = self._excess(self._rung, t, x, q)
+        if excess > 1.0:
+            self._rung += 1
+            self._climb(t, x, q)
+            return False
+        if self._rung and excess < 0.01 and self._accepted % 8 == 0:
+            below, _ = self._excess(self._rung - 1, t, x, q)
+            self._rung -= below < _MARGIN
+        return True
+
+    def _climb(self, t: float, x: Array, q: Array) -> None:
+        assert self._rung is not None
+        while True:
+            excess, worst = self._excess(self._rung, t, x, q)
+            if excess < _MARGIN:
+                break
+            nodes = self._rungs[self._rung][0]
+            if nodes >= MOST_NODES:
+                raise self._beyond(t, x[worst], excess * self._tolerance, nodes)
+            self._rung += 1
+        self.finest = max(self.finest, self._rungs[self._rung])
+
+    def _excess(self, rung: int, t: float, x: Array, q: Array) -> tuple[float, int]:
+        """What a grid misses at most over what it may, and of which body."""
+        rotation = matrix(q)
+        motion, sizes = self._sampled(self._on_rung(rung + 2), t, x, rotation)
+        rough, _ = self._sampled(self._on_rung(rung), t, x, rotation)
+        allowed = np.asarray(self._allowed) / self._tolerance
+        change = self._change(motion, rough, sizes, allowed) / self._tolerance
+        return float(change.max()), int(change.argmax())
+
+    def _change(self, motion: Array, rough: Array, sizes: Array, allowed: Any = (0, 0)) -> Array:
+        """`motion_change` (n,); none where the flow has no value, for no grid helps there."""
+        radius = float(self._functional.grid.shape.radius)
+        with np.errstate(invalid="ignore"):
+            return np.nan_to_num(motion_change(motion, rough, sizes, radius, allowed), nan=0.0)
+
+    def _sampled(
+        self, grid: GridMotion, t: float, x: Array, rotation: Array
+    ) -> tuple[Array, Array]:
+        """Free motion (n, 6) in the body frame on a grid, and the `flow_sizes` there (2, n)."""
+        u, motion = grid.in_body(t, x, rotation)
+        with np.errstate(invalid="ignore"):
+            return motion, flow_sizes(u)
+
+    def _on_rung(self, rung: int) -> GridMotion:
+        while len(self._rungs) <= rung:
+            self._rungs.append(_finer(self._rungs[-1]))
+        return self._grid(self._rungs[rung])
+
+    def _grid(self, nodes: tuple[int, int]) -> GridMotion:
+        if nodes not in self._grids:
+            self._grids[nodes] = GridMotion(
+                self._functional.on_grid(nodes[1], nodes[0]), self._flow
+            )
+        return self._grids[nodes]
+
+    @staticmethod
+    def _beyond(t: float, x: Array, change: float, nodes: int) -> FlowError:
+        where = ", ".join(f"{value:.6g}" for value in x)
+        return FlowError(
+            f"at t = {t:.6g}, body at ({where}): the flow varies too much over the body: "
+            f"the free motion still changes by {change:.1e} between grids of up to "
+            f"{nodes} points from pole to pole; a singular point must be very near"
+        )
+
+
+def _finer(nodes: tuple[int, int]) -> tuple[int, int]:
+    return min(_step(nodes[0] + 1), MOST_NODES), _step(nodes[1] + 1)
 
 
 def _step(nodes: float) -> int:

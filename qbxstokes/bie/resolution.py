@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -64,24 +65,30 @@ def flow_error(
         motions.append(np.einsum("anj,nj->a", grid.weights, u))
     # The finer grid errs as well, by much less.
     size = functional.grid.shape.radius
-    return 1.5 * float(motion_change(motions[0], motions[1], u, size))
+    return 1.5 * float(motion_change(motions[0], motions[1], flow_sizes(u), size))
 
 
-def motion_change(fine: Array, coarse: Array, u: Array, radius: float) -> Array:
-    """Relative difference (...) of two free motions (..., 6) in the flow u (..., N, 3), at points.
-
-    The larger one of U's and Omega's, with the scales of `flow_error`.
-    """
+def flow_sizes(u: Array) -> Array:
+    """Largest speed and largest difference from the mean, (2, ...), of a flow (..., N, 3)."""
     variation = u - u.mean(axis=-2, keepdims=True)
-    scales = (
-        0.01 * np.max(np.linalg.norm(u, axis=-1), axis=-1),
-        0.01 * np.max(np.linalg.norm(variation, axis=-1), axis=-1) / radius,
-    )
+    return np.stack([np.linalg.norm(v, axis=-1).max(axis=-1) for v in (u, variation)])
+
+
+def motion_change(
+    fine: Array, coarse: Array, sizes: Array, radius: float, allowed: Any = (0.0, 0.0)
+) -> Array:
+    """Relative difference (...) of free motions (..., 6) in a flow of the `flow_sizes` (2, ...).
+
+    The larger one of U's and Omega's, with the scales of `flow_error`, or those that are `allowed`
+    where these are larger.
+    """
+    scales = 0.01 * sizes[0], 0.01 * sizes[1] / radius
     # A uniform flow turns nothing: what it seems to turn is no error.
     rounding = 1e4 * scales[0] * float(np.finfo(float).eps)
     error = np.zeros(fine.shape[:-1])
-    for part, least in zip((slice(0, 3), slice(3, 6)), scales, strict=True):
-        scale = np.maximum(np.linalg.norm(fine[..., part], axis=-1), least)
+    for first, least, known in zip((0, 3), scales, np.asarray(allowed), strict=True):
+        part = slice(first, first + 3)
+        scale = np.maximum(np.maximum(np.linalg.norm(fine[..., part], axis=-1), least), known)
         change = np.linalg.norm(fine[..., part] - coarse[..., part], axis=-1)
         change = np.maximum(0.0, change - rounding)
         error = np.maximum(error, change / np.where(scale > 0.0, scale, 1.0))

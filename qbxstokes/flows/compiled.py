@@ -74,19 +74,15 @@ def _point(own: Any, timed: bool, numbers: tuple[float, ...]) -> Any:
     return point
 
 
-@inner
-def velocities(point: Any, x: Any, t: float, out: Any) -> None:
-    """Velocities (n, 3) at points (n, 3)."""
-    for i in range(len(x)):
-        out[i, 0], out[i, 1], out[i, 2] = point(x[i, 0], x[i, 1], x[i, 2], t)
-
-
+@cache
 def field_of(point: Any) -> Callable[[Any, float], Any]:
     """The same of many points, (n, 3) and t -> (n, 3)."""
 
+    @inner
     def field(x: Any, t: float) -> Any:
         out = np.empty(x.shape)
-        velocities(point, x, t, out)
+        for i in range(len(x)):
+            out[i, 0], out[i, 1], out[i, 2] = point(x[i, 0], x[i, 1], x[i, 2], t)
         return out
 
-    return field
+    return field  # type: ignore[no-any-return]

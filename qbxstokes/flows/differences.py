@@ -20,15 +20,16 @@ LEVELS = 8
 VectorField = Callable[[Array], Array]
 
 
-def extrapolate(estimate: Callable[[Array], Array], step: Array) -> Array:
+def extrapolate(estimate: Callable[[Array], Array], step: Array, levels: int = LEVELS) -> Array:
     """Limit at step -> 0 of `estimate(step)`, whose error is a series in step^2.
 
-    step: shape (...), the largest step at each point; `estimate` returns (..., m...) .
+    step: shape (...), the largest step at each point; `estimate` returns (..., m...) . levels: how
+    often the step is halved, and one.
     """
     previous: list[Array] = []
     best: Array | None = None
     best_error: Array | None = None
-    for level in range(LEVELS):
+    for level in range(levels):
         row = [estimate(step / 2.0**level)]
         for order in range(1, level + 1):
             row.append(row[-1] + (row[-1] - previous[order - 1]) / (4.0**order - 1.0))
@@ -50,7 +51,7 @@ def extrapolate(estimate: Callable[[Array], Array], step: Array) -> Array:
     return best
 
 
-def gradient_of(field: VectorField, x: Array, step: Array) -> Array:
+def gradient_of(field: VectorField, x: Array, step: Array, levels: int = LEVELS) -> Array:
     """Gradient (..., i, j) = df_i/dx_j of a vector field f: (..., 3) -> (..., 3)."""
 
     def estimate(h: Array) -> Array:
@@ -59,7 +60,7 @@ def gradient_of(field: VectorField, x: Array, step: Array) -> Array:
         backward = field(x[..., None, :] - offsets)
         return np.swapaxes((forward - backward) / (2.0 * h[..., None, None]), -1, -2)
 
-    return extrapolate(estimate, step)
+    return extrapolate(estimate, step, levels)
 
 
 def _laplacian_estimate(field: VectorField, x: Array, h: Array) -> Array:
@@ -74,7 +75,7 @@ def laplacian_of(field: VectorField, x: Array, step: Array) -> Array:
     return extrapolate(lambda h: _laplacian_estimate(field, x, h), step)
 
 
-def laplacian_gradient_of(field: VectorField, x: Array, step: Array) -> Array:
+def laplacian_gradient_of(field: VectorField, x: Array, step: Array, levels: int = LEVELS) -> Array:
     """Gradient (..., i, j) of the Laplacian of a vector field (third derivatives)."""
 
     def estimate(h: Array) -> Array:
@@ -84,7 +85,7 @@ def laplacian_gradient_of(field: VectorField, x: Array, step: Array) -> Array:
         backward = _laplacian_estimate(field, x[..., None, :] - offsets, steps)
         return np.swapaxes((forward - backward) / (2.0 * h[..., None, None]), -1, -2)
 
-    return extrapolate(estimate, step)
+    return extrapolate(estimate, step, levels)
 
 
 # Weights of the values at one, two and three steps: of a first derivative, those behind with the

@@ -110,6 +110,12 @@ class RigidBodyEquations(Pieces):
         """What is compiled of one body over a wall (`motion.coupled`): nothing."""
         return None
 
+    @property
+    def in_function(self) -> Any:
+        """Motion by a compiled flow on the grid of a run, where that is all; None elsewhere."""
+        found = self._provider if self._force_free else None
+        return found if getattr(found, "grid", None) is not None else None
+
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""
         if self._changing or not (self._steady_loads and self.compiled(evaluations)):

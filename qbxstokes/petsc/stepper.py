@@ -7,12 +7,9 @@ Events are found by an observer between the steps, as roots of functions of the 
 (`dense_output`), not by TSSetEventHandler. That one ends a step at each event and starts the next
 afresh, so that the motion would depend on what is watched for; it acts within TSSolve alone, which
 leaves no place for cuts; and how well an instant is known depends on the size of the function's
-values near it. Compared over five Jeffery periods, both find half-turns equally well at the
-tolerance of the motion, for 18 % (here) and 26 % (there) more right-hand sides of 8vr at St = 0,
-1 % at St = 1, and none (here) and 8 % (there) of BDF; but with PETSc's own tolerance for events the
-instants err by 1e-7 to 1e-6 in a motion good to 1e-8, and with a fine one BDF begins anew at low
-order so often that its error grows from 2e-8 to 5e-5. The functions found between the steps leave
-the motion as it is, to the last bit.
+values near it: with PETSc's own tolerance for events the instants err by 1e-7 to 1e-6 in a motion
+good to 1e-8, and with a fine one BDF begins anew at low order so often that its error grows from
+2e-8 to 5e-5. The functions found between the steps leave the motion as it is, to the last bit.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
@@ -41,7 +38,7 @@ from qbxstokes.petsc.dense_output import FEW, Inside
 from qbxstokes.petsc.implicit_pace import Pace
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
-from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory, Watch
 
 Array = NDArray[np.float64]
 
@@ -76,8 +73,7 @@ def integrate(
     observe: Callable[[Step], float | None] | None = None,
     longest_step: float | None = None,
     breaks: ArrayLike = (),
-    until: Callable[[float], None] | None = None,
-    accept: Callable[[float, Array], None] | None = None,
+    watch: Watch | None = None,
     comm: Any = PETSc.COMM_SELF,
 ) -> Trajectory:
     """States at increasing `times` of the motion that starts from `start` at t0.
@@ -94,9 +90,7 @@ def integrate(
     it, a step that cannot be completed ends the run (`refusal`, `failure`) instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
     breaks: instants at which the equations are not smooth in time: steps end there, and begin
-    afresh. until is called with the one that a step may reach, inf where all is known again; up to
-    it, the equations are to be those before it.
-    accept is called with instant and states of every step's end, and may raise what ends the run.
+    afresh. watch: what looks after the flow; see `Watch`.
     comm: of one process, PETSc's own.
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
@@ -112,7 +106,7 @@ def integrate(
     ends = np.asarray(breaks, dtype=np.float64)
     bound = longest_step, len(ends)
     system = System(equations, checkpoint, end, count, tolerance, method, prefix, *bound, comm)
-    run = Run(system, checkpoint, instants, ends, until, accept)
+    run = Run(system, checkpoint, instants, ends, watch or Watch())
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -143,10 +137,9 @@ class Run:
         checkpoint: Checkpoint,
         times: Array,
         breaks: Array,
-        until: Callable[[float], None] | None,
-        accept: Callable[[float, Array], None] | None,
+        watch: Watch,
     ) -> None:
-        self._breaks, self._until, self._accept = breaks, until, accept
+        self._breaks, self._watch = breaks, watch
         self._system, self.equations = system, system.equations
         self.checkpoint, self.times = checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
@@ -163,6 +156,7 @@ class Run:
         """Fresh integrators at the checkpoint: a resumed run passes through the same code."""
         start, system = self.checkpoint, self._system
         self.release()
+        self._watch.begin(start.time, start.state)
         self._vector = system.begin(start)
         self.ts = system.integrator(self._vector, adaptive=True)
         self._inside = Inside(system, self.ts, self._vector)
@@ -175,8 +169,8 @@ class Run:
 
     def release(self) -> None:
         """Free the integrators: they hold callbacks that hold this object, unseen by Python."""
-        if self._until is not None:
-            self._until(math.inf)
+        self._watch.rest()
+        self._watch.until(math.inf)
         for integrator in (self.ts, self._inside):
             if integrator is not None:
                 integrator.destroy()
@@ -251,13 +245,12 @@ class Run:
         """One accepted step from t, up to the next break at most."""
         place = int(np.searchsorted(self._breaks, t, "right"))
         if place == len(self._breaks):
-            if self._until is not None and len(self._breaks):
-                self._until(self._end)
+            if len(self._breaks):
+                self._watch.until(self._end)
             self._step(start)
             return
         ts, limit = self.ts, float(self._breaks[place])
-        if self._until is not None:
-            self._until(limit)
+        self._watch.until(limit)
         length = ts.getTimeStep()
         if t + length > limit - 1e-3 * length:
             ts.setTimeStep(limit - t)
@@ -281,25 +274,34 @@ class Run:
             self._try_step()
             if near and not counter.astray:  # the end is where the next step starts
                 self._system.rate(ts, ts.getTime(), self._vector, self._inside.scratch)
-            if not counter.astray:
+            if not counter.astray and self._accepted():
                 counter.astray = near
                 self._largest = max(self._largest, ts.getTime() - before)
                 break
             self._vector.setArray(start)
             ts.setTime(before)
             ts.setStepNumber(number)
-            if length < SHORTEST * self._largest or length < 1e-14 * self._end:
-                raise self._failed("", NO_VALUE)
-            ts.setTimeStep(0.25 * length)
             ts.restartStep()
-        if self._accept is not None:
-            self._accept(ts.getTime(), self._system.read(self._vector))
+            if counter.astray and length < max(SHORTEST * self._largest, 1e-14 * self._end):
+                raise self._failed("", NO_VALUE)
+            ts.setTimeStep(0.25 * length if counter.astray else length)
         if self._monitored:
             ts.monitor(ts.getStepNumber(), ts.getTime(), self._vector)
+
+    def _accepted(self) -> bool:
+        """Whether the watch lets a step stand."""
+        try:
+            return self._watch.accept(self.ts.getTime(), self._system.read(self._vector))
+        except FlowFunctionError:
+            raise
+        except FlowError as refusal:
+            self.counter.refusal, self.counter.astray = refusal, True
+            return False
 
     def _try_step(self) -> None:
         """One step of TS; what went astray is for the caller to take back."""
         ts, before = self.ts, self.ts.getTime()
+        self._system.before_step()
         try:
             ts.step()
         except PETSc.Error as error:
@@ -307,6 +309,7 @@ class Run:
             if failure is not None:
                 raise failure from error
             raise self._failed(ADVICE, str(error).strip().splitlines()[-1]) from error
+        self._system.after_step()
         if self.counter.astray:
             return
         reason = ts.getConvergedReason()
@@ -369,6 +372,7 @@ class Run:
         )
         if held_up:
             new = self._pace.changed(new)
+        self._watch.rest()
         first = index - len(samples)
         states = np.array(samples).reshape(len(samples), *state.shape)
         deliver(Chunk(first, self.times[first:index], _of_unit_length(states), new))

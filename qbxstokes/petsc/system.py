@@ -77,6 +77,17 @@ class System:
         # Whether it is the program that chose the method.
         self.chosen = method is None and not PETSc.Options().hasName(f"{prefix}ts_type")
         self.native: Any = None
+        self._function: Any = None  # the same, where it is that of a compiled flow
+
+    def before_step(self) -> None:
+        """Let the compiled right-hand side know what may have changed."""
+        if self._function is not None:
+            self._function.prepare()
+
+    def after_step(self) -> None:
+        """Note what the compiled right-hand side came upon."""
+        if self._function is not None and self._function.astray:
+            self.counter.refusal, self.counter.astray = None, True
 
     @property
     def evaluations(self) -> int:
@@ -162,6 +173,10 @@ class System:
             from qbxstokes.petsc.native_wall import native_over_wall
 
             self.native = native_over_wall(*wall, self.counter)
+        elif self.native is None and (motion := self.equations.in_function) is not None:
+            from qbxstokes.petsc.native_user import native_user
+
+            self.native = self._function = native_user(motion, self.layout.columns)
         elif self.native is None:
             block = self._moving.block_constants(self.expected)
             if block is not None:

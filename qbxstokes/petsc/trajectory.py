@@ -13,6 +13,26 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+class Watch:
+    """What looks after the flow of a run: nothing here. States are (columns, n_state)."""
+
+    def begin(self, t: float, states: Array) -> None:
+        """Before the first step from a start or a cut."""
+
+    def until(self, t: float) -> None:
+        """Let the equations be as before the break t, which is the next; inf: known for good."""
+
+    def accept(self, t: float, states: Array) -> bool:
+        """Whether the step that has ended so stands; if not it is taken again.
+
+        May raise FlowFunctionError, which ends the run, or FlowError: the step is shortened.
+        """
+        return True
+
+    def rest(self) -> None:
+        """After the last step before a cut or the end."""
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """All that a run needs to go on, and its record so far; only `time` and `state` at the start.

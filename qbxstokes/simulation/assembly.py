@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError, SceneError
-from qbxstokes.flows.check import check_stokesian
+from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
-from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import build_events, watched
+from qbxstokes.simulation.flow_watch import FlowWatch, require_stokesian
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -38,9 +37,8 @@ _PERIODIC = "period", "period_change", "orbit_drift"
 Maker = Callable[["Simulation", Workshop], Hydrodynamic]
 # Steps at least over a run whose flow or loads change in time, of which the start tells nothing.
 _STEPS_IN_TIME = 50.0
-# Instants at which such a flow is checked before the run, and steps between checks within it.
+# Instants at which such a flow is checked before the run.
 _INSTANTS_CHECKED = 11
-_STEPS_BETWEEN_CHECKS = 10
 _EPSILON = 2.0**-52
 # Steps of a single lane between cuts, where a run can be resumed: a fraction of a second of work
 # or some seconds, by how the free motion is found; and samples at most.
@@ -110,8 +108,7 @@ class Assembled:
             self.tolerance,
             longest_step=longest,
             breaks=self._breaks(end),
-            until=self._until,
-            accept=self._accept(),
+            watch=FlowWatch(self, end),
             **{**limits, **settings},
         )
 
@@ -119,36 +116,6 @@ class Assembled:
         """Instants at which some flow is not smooth: steps end there."""
         found = np.unique(np.concatenate([part.flow.breaks(end) for part in self.parts]))
         return found[(found > 0.0) & (found < end)]
-
-    def _until(self, t: float) -> None:
-        for part in self.parts:
-            part.flow.until(t)
-
-    def _accept(self) -> Callable[[float, Array], None] | None:
-        """What looks at users' functions where a step has ended; None where there are none.
-
-        Those that were recognised are held against their flows, and the others are to be Stokesian:
-        around one lane after another, every so many steps.
-        """
-        users = [
-            (part, lanes)
-            for part, lanes in zip(self.parts, self.slices(), strict=True)
-            if not part.flow.singular_points_known
-        ]
-        count = 0
-
-        def accept(t: float, states: Array) -> None:
-            nonlocal count
-            count += 1
-            looked, step = divmod(count, _STEPS_BETWEEN_CHECKS)
-            for part, lanes in users:
-                places = states[lanes, POSITION]
-                if part.recognised is not None:
-                    part.recognised.check(t, places, part.body.shape.radius)
-                if step == 0 or part.recognised is not None:
-                    _check_stokesian(part, places[looked % len(places)], t)
-
-        return accept if users else None
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.
@@ -160,7 +127,7 @@ class Assembled:
         for part in self.parts:
             if not part.flow.steady:
                 for t in np.linspace(0.0, end, _INSTANTS_CHECKED):
-                    _check_stokesian(part, part.position[0], float(t))
+                    require_stokesian(part, part.position[0], float(t))
         spacings = [part.flow.spacing for part in self.parts]
         return float(min(end / _STEPS_IN_TIME, *spacings))
 
@@ -225,9 +192,8 @@ class Assembled:
         found = []
         for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
             instants = [0.0] if part.flow.steady else np.linspace(0.0, end, _INSTANTS_CHECKED)
-            place = part.position[0]
-            rate = np.mean([np.linalg.norm(part.flow.gradient(place, float(t))) for t in instants])
-            linear = part.flow.degree is not None and part.flow.degree <= 1
+            rate = np.mean([np.linalg.norm(_gradient(part, float(t))) for t in instants])
+            linear = part.carrier.degree is not None and part.carrier.degree <= 1
             law = float(rate) * end * _period_error(formed.model, linear)
             parts = {"integration": self.tolerance, "law": law, "rounding": rounding}
             found.append({"total": sum(parts.values()), **parts})
@@ -309,6 +275,14 @@ def assemble(
     return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
 
 
+def _gradient(part: Simulation, t: float) -> Array:
+    """About the gradient (3, 3) at the start."""
+    flow, place = part.carrier, part.position[0]
+    if part.recognised is None and not flow.singular_points_known:  # many values for many digits
+        return np.asarray(flow.expansion(place[None], t, 1)[1][0])
+    return np.asarray(flow.gradient(place, t))
+
+
 def _period_error(model: BodyModel, linear: bool) -> float:
     """Relative error of the periods of a body's motion, at most.
 
@@ -323,24 +297,6 @@ def _period_error(model: BodyModel, linear: bool) -> float:
         off = abs(abs(model.faxen.linear) + 2.0 * rest - 1.0)
         return 0.5 * abs(model.faxen.rest / rest - 1.0) + off + _EPSILON
     return model.error_estimate * slenderness
-
-
-def _check_stokesian(part: Simulation, place: Array, t: float) -> None:
-    """Refuse a flow that is not Stokesian around a place at time t.
-
-    A function that fails is left to the equations, which tell when and where they needed it.
-    """
-    radius = 2.0 * part.body.shape.radius
-    try:
-        if part.recognised is None:
-            check_stokesian(part.flow, place, radius=radius, t=t)
-        else:
-            part.recognised.require_stokesian(t, radius)
-    except FlowFunctionError:
-        return
-    except FlowError as error:
-        if part.flow.singular_points_known or "not Stokesian" in str(error):
-            raise SceneError("flow", f"at t = {t:.6g}: {error}") from None
 
 
 def _check_alike(parts: Sequence[Simulation]) -> None:

@@ -1,0 +1,99 @@
+"""What looks after the flows of a run: their breaks, the grids that see them, users' functions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qbxstokes.errors import FlowError, FlowFunctionError, SceneError
+from qbxstokes.flows.check import check_stokesian, seems_stokesian
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.petsc.trajectory import Watch
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.assembly import Assembled
+    from qbxstokes.simulation.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+# Accepted steps between looks at whether a flow is Stokesian.
+_STEPS_BETWEEN_CHECKS = 10
+# Share of the tolerance of a run that the grid on the surface may take.
+_SHARE = 0.1
+
+
+class FlowWatch(Watch):
+    """As `petsc.trajectory.Watch`, of all scenes that are integrated together up to `end`.
+
+    Functions that were recognised as polynomials are held against these where a step has ended,
+    and the others are to be Stokesian there: around one lane after another, every so many steps.
+    A motion on grids (`bie.providers.MonitoredGridMotion`) may miss a share of the tolerance: an
+    error of Omega grows with time, by max(k, 1/k)^2 besides where an axis lingers
+    (`RigidBodyEquations.sensitivity`).
+    """
+
+    def __init__(self, assembled: Assembled, end: float) -> None:
+        self._parts = list(zip(assembled.parts, assembled.slices(), strict=True))
+        self._flows = [part.flow for part in assembled.parts]
+        self._users = [entry for entry in self._parts if not entry[0].flow.singular_points_known]
+        self._motions: list[tuple[Any, slice, tuple[float, float]]] = []
+        for (part, lanes), formed in zip(self._parts, assembled.hydrodynamics, strict=True):
+            if hasattr(formed.provider, "accept"):
+                k = formed.model.effective_ratio
+                allowed = _SHARE * part.tolerance / end
+                slower = allowed / max(k, 1.0 / k) ** 2 if k > 0.0 else 0.0
+                self._motions.append((formed.provider, lanes, (allowed, slower)))
+        self._count = 0
+
+    def until(self, t: float) -> None:
+        """Let all flows show themselves as before the break t."""
+        for flow in self._flows:
+            flow.until(t)
+
+    def begin(self, t: float, states: Array) -> None:
+        """Choose the grids of the steps to come."""
+        for motion, lanes, allowed in self._motions:
+            motion.begin(t, *_places(states[lanes]), allowed)
+
+    def rest(self) -> None:
+        """Let motions be found to the tolerance of the body's hydrodynamics again."""
+        for motion, _, _ in self._motions:
+            motion.rest()
+
+    def accept(self, t: float, states: Array) -> bool:
+        """Whether a step that has ended in states (n, n_state) stands; raises FlowError."""
+        self._count += 1
+        looked, step = divmod(self._count, _STEPS_BETWEEN_CHECKS)
+        for part, lanes in self._users:
+            places = states[lanes, POSITION]
+            if part.recognised is not None:
+                part.recognised.check(t, places, part.body.shape.radius)
+            if step == 0 or part.recognised is not None:
+                require_stokesian(part, places[looked % len(places)], t)
+        stands = [m.accept(t, *_places(states[lanes])) for m, lanes, _ in self._motions]
+        return all(stands)
+
+
+def _places(states: Array) -> tuple[Array, Array]:
+    return states[:, POSITION], rotation.normalize(states[:, ORIENTATION])
+
+
+def require_stokesian(part: Simulation, place: Array, t: float) -> None:
+    """Refuse a flow that is not Stokesian around a place at time t; raises SceneError.
+
+    A function that fails is left to the equations, which tell when and where they needed it.
+    """
+    radius = 2.0 * part.body.shape.radius
+    try:
+        if part.recognised is not None:
+            part.recognised.require_stokesian(t, radius)
+        elif not seems_stokesian(part.flow, place, radius, t):
+            check_stokesian(part.flow, place, radius=radius, t=t)
+    except FlowFunctionError:
+        return
+    except FlowError as error:
+        if part.flow.singular_points_known or "not Stokesian" in str(error):
+            raise SceneError("flow", f"at t = {t:.6g}: {error}") from None
