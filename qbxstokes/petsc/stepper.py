@@ -16,8 +16,7 @@ max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order 
 lower one, which makes the global error proportional to the local tolerance; the factor is the
 sensitivity of the equations (`RigidBodyEquations.sensitivity`), and the tolerance is divided by it.
 
-The quaternion's length has no effect on the motion (`motion.kernels`); it is set to 1 at every cut,
-where a chunk of samples is handed over and a resumed run may start.
+The quaternion's length has no effect on the motion (`motion.kernels`); it is set to 1 at every cut.
 """
 
 from __future__ import annotations
@@ -139,9 +138,8 @@ class Run:
         breaks: Array,
         watch: Watch,
     ) -> None:
-        self._breaks, self._watch = breaks, watch
-        self._system, self.equations = system, system.equations
-        self.checkpoint, self.times = checkpoint, times
+        self._breaks, self._watch, self._system = breaks, watch, system
+        self.equations, self.checkpoint, self.times = system.equations, checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
         self.reached = checkpoint.time
         self._largest, self._end = 0.0, system.end
@@ -292,9 +290,9 @@ class Run:
         """Whether the watch lets a step stand."""
         try:
             return self._watch.accept(self.ts.getTime(), self._system.read(self._vector))
-        except FlowFunctionError:
-            raise
         except FlowError as refusal:
+            if isinstance(refusal, FlowFunctionError):
+                raise
             self.counter.refusal, self.counter.astray = refusal, True
             return False
 
@@ -387,10 +385,8 @@ class Run:
 
     def _end_by(self, error: FlowError | ContactError | ConvergenceError) -> None:
         """Note what lets the run go no further."""
-        if not isinstance(error, (ConvergenceError, FlowFunctionError)):
-            self.refusal = str(error)
-        else:
-            self.failure = str(error)
+        failed = isinstance(error, (ConvergenceError, FlowFunctionError))
+        self.failure, self.refusal = (str(error), self.refusal) if failed else ("", str(error))
 
 
 def _of_unit_length(states: Array) -> Array:
