@@ -5,7 +5,7 @@ Errors of spheres are against the exact series in bispherical coordinates (Brenn
 tolerance, relative to the largest entry of the resistance. Times are CPU times of one core.
 
 Run:      python cases/benchmarks/bodies.py      (3 min; --small: 10 s; --csv)
-Expected: met, but iterations of k = 2 at gap 0.3 (16) and, on a busy machine, times.
+Expected: met; times on a machine with nothing else to do.
 """
 
 from __future__ import annotations
@@ -127,7 +127,10 @@ def compared(bodies: Any, wall: Any, x: Any, axes: Any, tolerance: float) -> tup
 
 
 def iterations(small: bool) -> Rows:
-    """GMRES to 1e-8 for two spheroids side by side, of given motion and free."""
+    """GMRES to 1e-8 for two spheroids side by side, of given motion and free.
+
+    An iteration is a product, in which each body's flow is evaluated on the other once.
+    """
     rows = []
     for gap, bar in ((0.3, 14.0),) if small else ((0.3, 14.0), (0.1, 25.0)):
         for k in (0.5,) if small else (0.2, 0.5, 1.0, 2.0):

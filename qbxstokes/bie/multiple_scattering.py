@@ -5,10 +5,16 @@ must have solves, for given rigid motions and background u,
 
     v_b + sum_{c != b} (E_c v_c)|_b + sum_c (E_c v_c)^wall|_b = U_b + W_b x r - u|_b
 
-identity plus compact. For bodies under given loads E is replaced by its force-free part M_c v =
-E_c (v - w_c(v)), w_c(v) the rigid motion of the body alone that carries the same force and torque;
-the data are then minus the background and the flow of the loaded bodies each alone, and the motion
-of body b is its motion alone less w_b(v_b).
+identity plus compact, I + K. The bodies are put into a few stages, near ones into different ones:
+with L that part of K which sends from earlier to later stages, v = (I + L)^-1 w is found stage
+after stage, and w solves (I + (K - L) (I + L)^-1) w = data (multiplicative Schwarz). A product
+takes every body's flow at every other once, as one with I + K does, and GMRES about half of them:
+of two bodies the round trip alone is left.
+
+For bodies under given loads E is replaced by its force-free part M_c v = E_c (v - w_c(v)), w_c(v)
+the rigid motion of the body alone that carries the same force and torque; the data are then minus
+the background and the flow of the loaded bodies each alone, and the motion of body b is its motion
+alone less w_b(v_b).
 
 The wall answers with Lorentz's reflection of a body's flow (Kim & Karrila 1991, sec. 12.1): with
 the plane at height 0, the unit normal N, J = I - 2 N N^T and ^ the value at the mirrored point J x,
@@ -23,7 +29,7 @@ are those of the space frame; force and torque are exerted by the bodies ON the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -38,12 +44,11 @@ from qbxstokes.qbx.confocal import Table
 from qbxstokes.qbx.exterior import ExteriorFlow
 from qbxstokes.typing import Array, ComplexArray
 
-Coefficients = Sequence[ComplexArray]
-
 # Measured error with n polar nodes: C exp(-2 a n) with the rate a of the gap, see `factor`. Discs
 # edge to edge fall slower, by exp(-SLOW a) a node.
 FACTOR, SLOW = 400.0, 1.3
 LEAST_NODES, MOST_NODES = 8, 64
+STAGES = 4  # as good as one body after the other
 # Polar nodes that the grids of an error estimate have less; relative errors, in tolerances of the
 # problem, that both solutions may share, and of sums at mirrored points: second derivatives count.
 _LESS, _SHARED, _MIRRORED = 2, 0.1, 0.1
@@ -232,19 +237,30 @@ class Coupled:
 
     # -- what a body sends out ----------------------------------------------------------------
 
+    @cached_property
+    def stages(self) -> list[list[int]]:
+        """The bodies dealt to stages, those that feel each other most to different ones."""
+        n, near = len(self.bodies), gaps_of(self.bodies, self.wall)
+        felt, pairs = np.zeros((n, n)), near.pairs[:, 1] >= 0
+        first, second = near.pairs[pairs].T
+        felt[first, second] = felt[second, first] = np.exp(-2.0 * near.rates[pairs].min(axis=1))
+        room = 1 if n <= STAGES else 2 * math.ceil(n / (2 * STAGES))  # even, for two ranks
+        stages: list[list[int]] = [[] for _ in range(math.ceil(n / room))]
+        for body in np.argsort(-felt.sum(axis=1), kind="stable").tolist():
+            open_ = [stage for stage in stages if len(stage) < room]
+            min(open_, key=lambda stage: (felt[body, stage].sum(), len(stage))).append(body)
+        return stages
+
     def alone(self, b: int, v: Array) -> tuple[ComplexArray, Array]:
         """Flow of body b with boundary velocity v, and the motion alone of the same force."""
         one = self.maps[b]
         c = one.coefficients(v)
         return c, one.harmonics.force_torque(c) / np.diag(one.resistance)
 
-    def flows(self, velocities: Sequence[Array], free: bool) -> list[ComplexArray]:
-        """Exterior flows of the own bodies: E v, or M v for free bodies."""
-        found = []
-        for b, v in zip(self.rows, velocities, strict=True):
-            c, motion = self.alone(b, v)
-            found.append(c - np.tensordot(motion, self.maps[b].rigid_flows, 1) if free else c)
-        return found
+    def flow(self, b: int, v: Array, free: bool) -> ComplexArray:
+        """Exterior flow of body b: E v, or M v of a free one."""
+        c, motion = self.alone(b, v)
+        return c - np.tensordot(motion, self.maps[b].rigid_flows, 1) if free else c
 
     # -- what arrives -------------------------------------------------------------------------
 
@@ -292,10 +308,13 @@ class Coupled:
         pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)
         return sum_ - u @ turn.T, pressure
 
-    def arriving(self, b: int, flows: Coefficients) -> Array:
-        """Velocity (N, 3) on body b, in its frame, of all others' flows and the wall's answers."""
+    def arriving(self, b: int, flows: Mapping[int, ComplexArray]) -> Array:
+        """Velocity (N, 3) on body b, in its frame, of the flows of bodies and the wall's answers.
+
+        flows: by body; its own arrives by the wall alone.
+        """
         total = np.zeros((len(self.points[b]), 3))
-        for c, flow in enumerate(flows):
+        for c, flow in flows.items():
             if c != b:
                 total += self.sent(c, flow, self.points[b], self._table(c, b, False))
             if self.wall is not None:

@@ -9,7 +9,7 @@ for each other asleep: the machine may have other work.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,35 +56,63 @@ class CoupledSolver:
             ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
 
-    def gathered(self, own: Sequence[NDArray[Any]], sizes: Sequence[int]) -> list[NDArray[Any]]:
-        """Arrays of all bodies, flows or motions of known sizes, from those of each rank's own."""
-        if self._mpi is None:
-            return list(own)
-        counts = [sum(sizes[b] for b in share) for share in self._shares]
-        mine = np.concatenate([np.zeros(0), *(array.ravel() for array in own)], dtype=complex)
-        whole = np.empty(sum(counts), dtype=complex)
-        finish_asleep(self._mpi.Iallgatherv(mine, [whole, counts]), PAUSE)
-        order = [b for share in self._shares for b in share]
-        parts = np.split(whole, np.cumsum([sizes[b] for b in order])[:-1])
-        return [part for _, part in sorted(zip(order, parts, strict=True), key=_first)]
+    def gathered(self, own: Mapping[int, NDArray[Any]], bodies: Sequence[int], shape: Any) -> Any:
+        """Begin to gather arrays of some bodies; returns what waits for them, all by body.
 
-    def sent(self, own: Sequence[ComplexArray]) -> list[ComplexArray]:
-        """Flows of all bodies from those of each rank's own."""
-        shapes = [one.shape_of_flows for one in self.problem.maps]
-        found = self.gathered(own, [math.prod(shape) for shape in shapes])
-        return [flow.reshape(shape) for flow, shape in zip(found, shapes, strict=True)]
+        own: of this rank's among them. shape: that of each, a function of the body.
+        """
+        if self._mpi is None:
+            return lambda: own
+        order = [[b for b in share if b in bodies] for share in self._shares]
+        counts = [sum(math.prod(shape(b)) for b in some) for some in order]
+        mine = np.concatenate([np.zeros(0), *(a.ravel() for a in own.values())], dtype=complex)
+        whole = np.empty(sum(counts), dtype=complex)
+        request = self._mpi.Iallgatherv(mine, [whole, counts])
+
+        def wait() -> dict[int, NDArray[Any]]:
+            finish_asleep(request, PAUSE)
+            found, begin = {}, 0
+            for b in (b for some in order for b in some):
+                end = begin + math.prod(shape(b))
+                found[b], begin = whole[begin:end].reshape(shape(b)), end
+            return found
+
+        return wait
+
+    def swept(self, unknowns: Array) -> tuple[dict[int, Array], dict[int, ComplexArray]]:
+        """Velocities of the own bodies, met by what earlier stages send, and flows of all."""
+        problem, flows = self.problem, dict[int, ComplexArray]()
+        own = dict(zip(problem.rows, problem.split(unknowns), strict=True))
+        wait: Callable[[], dict[int, ComplexArray]] = dict
+        for stage in problem.stages:
+            mine = [b for b in problem.rows if b in stage]
+            for b in mine:  # while the latest flows are on their way
+                own[b] = own[b] - problem.arriving(b, flows)
+            latest = wait()
+            for b in mine:
+                own[b] = own[b] - problem.arriving(b, latest)
+            flows |= latest
+            sent = {b: problem.flow(b, own[b], self.free) for b in mine}
+            wait = self.gathered(sent, stage, lambda b: problem.maps[b].shape_of_flows)
+        return own, flows | wait()
 
     def mult(self, mat: Any, x: Any, y: Any) -> None:
-        """y = x + what arrives at each body when all send what x makes them send."""
+        """y = (I + (K - L) (I + L)^-1) x, see `bie.multiple_scattering`."""
         problem, unknowns = self.problem, x.getArray(readonly=1)
-        flows = self.sent(problem.flows(problem.split(unknowns), self.free))
-        arriving = problem.joined([problem.arriving(b, flows) for b in problem.rows])
-        y.setArray(unknowns + arriving)
+        _, flows = self.swept(unknowns)
+        arriving, place = [], {b: at for at, stage in enumerate(problem.stages) for b in stage}
+        for b in problem.rows:
+            later = {c: flow for c, flow in flows.items() if place[c] >= place[b]}
+            arriving.append(problem.arriving(b, later))
+        y.setArray(unknowns + problem.joined(arriving))
         if self._mpi is not None:  # PETSc's own sums over the ranks, next, wait awake
             finish_asleep(self._mpi.Ibarrier(), PAUSE)
 
     def solve(self, data: list[Array], guess: Array | None = None) -> Array:
-        """Unknowns of the own bodies for data (N, 3) on each. Raises ConvergenceError."""
+        """Unknowns of the own bodies, for `swept`, from data (N, 3) on each.
+
+        Raises ConvergenceError.
+        """
         ksp: Any = self._ksp
         self._rhs.setArray(self.problem.joined(data))
         if self._rhs.norm() == 0.0:
@@ -112,19 +140,18 @@ class CoupledSolver:
         self._rhs.destroy()
 
 
-def _first(pair: tuple[int, Any]) -> int:
-    return pair[0]
-
-
-def own_bodies(nodes: list[int], comm: Any) -> list[int]:
-    """Bodies of this rank: the costly ones dealt first, each to the rank with least so far."""
-    load, own, whole = np.zeros(comm.getSize()), [], sum(n * n for n in nodes)
-    for b in sorted(range(len(nodes)), key=lambda b: (-nodes[b], b)):
-        rank = int(np.argmin(load))
-        points = nodes[b] ** 2  # at which the flows of all others are summed
-        load[rank] += points * (whole - points) if len(nodes) > 1 else 1.0
-        if rank == comm.getRank():
-            own.append(b)
+def own_bodies(problem: Coupled, comm: Any) -> list[int]:
+    """Bodies of this rank: of each stage the costly ones dealt first, to who has least so far."""
+    points = np.array(problem.nodes) ** 2  # at which the flows of all others are summed
+    cost, own, whole = points * (points.sum() - points) + 1.0, [], np.zeros(comm.getSize())
+    for stage in problem.stages:
+        load = np.zeros(len(whole))
+        for b in sorted(stage, key=lambda b: (-cost[b], b)):
+            rank = min(range(len(load)), key=lambda rank: (load[rank], whole[rank]))
+            load[rank] += cost[b]
+            whole[rank] += cost[b]
+            if rank == comm.getRank():
+                own.append(b)
     return sorted(own)
 
 

@@ -142,12 +142,12 @@ class Suspension:
         looser: factor on the errors of sums and solver.
         """
         chosen = list(nodes or self.grids(places))
-        own = None
+        problem = Coupled(places, self.plane, chosen, looser * _SUMS * self.tolerance)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import own_bodies
 
-            own = own_bodies(chosen, self.comm)
-        return Coupled(places, self.plane, chosen, looser * _SUMS * self.tolerance, own)
+            problem.own = own_bodies(problem, self.comm)
+        return problem
 
     def resistance(
         self,
@@ -167,8 +167,7 @@ class Suspension:
         self, position: ArrayLike, orientation: ArrayLike | None = None
     ) -> tuple[Array, float]:
         """Resistance as above, and the estimated error of its entries over the largest of them."""
-        places = self.placed(position, orientation)
-        problem = self.problem(places)
+        problem = self.problem(places := self.placed(position, orientation))
         coarser = self.problem(places, problem.coarser, _LOOSER)
         fine, coarse = map(self._resistance, (problem, coarser))
         return fine, problem.estimated(fine, coarse) / float(np.abs(fine).max())
@@ -276,9 +275,8 @@ class Suspension:
     ) -> dict[str, NDArray[Any]]:
         """What is asked for at points (P, 3) of space, to contact and on the wall.
 
-        what: as of `Body.field`: gradient, stress and so on. source (P,): -1 for points inside a
-        body or behind the wall, whose values are NaN. The bodies are free but for the loads of
-        `free`; `among.FlowAmong` of a solution has surfaces with their tractions, too.
+        what: as of `Body.field`. source (P,): -1 inside a body or behind the wall, where values
+        are NaN. The bodies are free but for the loads of `free`.
         """
         from qbxstokes.simulation.flow_among import FlowAmong
 
@@ -341,8 +339,9 @@ class Suspension:
             if background is not None:
                 data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
             x = solver.solve(data)
-            flows = solver.sent(problem.flows(problem.split(x), False))
-            loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
+            _, sent = solver.swept(x)
+            flows = [sent[b] for b in range(len(self))]
+            loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
                 return self._held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
@@ -357,17 +356,18 @@ class Suspension:
         """Bodies under loads (N, 6) in a background (points -> velocity) or none; see `free`."""
         solver = self._solver(problem, True)
         alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
-        driven = [flow for _, flow in alone]
+        driven = {b: flow for b, (_, flow) in enumerate(alone)}
         data = [-problem.arriving(b, driven) for b in problem.rows]
         if background is not None:
             data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
-        x, own, motions = solver.solve(data, guess), [], []
-        for b, v in zip(problem.rows, problem.split(x), strict=True):
-            c, motion = problem.alone(b, v)
-            motions.append(problem.to_space(b, alone[b][0] - motion))
-            own.append(driven[b] + c - np.tensordot(motion, problem.maps[b].rigid_flows, 1))
-        flows = solver.sent(own)
-        motions = np.stack(solver.gathered(motions, [6] * len(self))).real
+        x = solver.solve(data, guess)
+        own, sent = solver.swept(x)
+        found = {
+            b: problem.to_space(b, alone[b][0] - problem.alone(b, v)[1]) for b, v in own.items()
+        }
+        found = solver.gathered(found, range(len(self)), lambda b: (6,))()
+        motion = np.stack([found[b].real for b in driven])
+        flows = [driven[b] + sent[b] for b in driven]
         took = solver.latest
         solver.release()
 
@@ -375,7 +375,7 @@ class Suspension:
             coarser = self.problem(problem.bodies, nodes, _LOOSER)
             return self.freed(coarser, loads, background)
 
-        (v, omega), (force, torque) = np.hsplit(motions, 2), np.hsplit(loads, 2)
+        (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
         return Solution(problem, flows, v, omega, force, torque, took, x, again)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
