@@ -114,8 +114,8 @@ def test_resuming_compares_what_numbers_depend_on(tmp_path: Path) -> None:
     assert not work.resumed
     work.note_run()
     assert not holds_work(work.folder)  # nothing to go on with yet
-    work.save_state("7", ROWS, {"step": 1})
-    work.save_state("7", ROWS, {"step": 2})
+    work.save_state("7", {"step": 1, "held": [ROWS]})
+    work.save_state("7", {"step": 2, "held": [ROWS]})
     work.close()
     assert holds_work(work.folder)
     other = {**IDENTITY, "body": {"aspect_ratio": 0.6}}
@@ -125,7 +125,8 @@ def test_resuming_compares_what_numbers_depend_on(tmp_path: Path) -> None:
     assert (again.resumed, again.run) == (True, 2)
     found = again.state("7")
     assert found is not None
-    assert found[1] == {"step": 2}
+    assert found["step"] == 2
+    assert all(np.array_equal(found["held"][0][name], held) for name, held in ROWS.items())
     again.drop_state("7")
     assert again.state("7") is None
     again.close()

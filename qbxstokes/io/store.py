@@ -36,6 +36,7 @@ Array = NDArray[Any]
 
 LOCK, RUN = "lock", "run.json"
 _NOTE, _SUFFIX = "note", ".h5"
+_FORMAT = 2  # of what parts and states hold
 # Names of results, with numbers, that are looked through for a run to go on with.
 NUMBERED = 1000
 
@@ -73,9 +74,14 @@ def write_whole(path: Path, data: bytes | memoryview) -> None:
 
 
 def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
-    """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading."""
+    """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading.
+
+    The note is plain data that may hold arrays, too.
+    """
     import h5py
 
+    arrays = dict(arrays)
+    note = _taken_out(note, "", arrays)
     kinds = {
         name: kind
         for name, values in arrays.items()
@@ -99,6 +105,18 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
     return image
 
 
+def _taken_out(value: Any, path: str, arrays: dict[str, Array]) -> Any:
+    """Nested data with nothing in the place of its arrays, which go to `arrays` by their paths."""
+    if isinstance(value, np.ndarray):
+        arrays[path] = value
+        return None
+    if isinstance(value, Mapping):
+        return {key: _taken_out(entry, f"{path}|{key}", arrays) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_taken_out(entry, f"{path}|{n}", arrays) for n, entry in enumerate(value)]
+    return value
+
+
 def write_part(path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
     """Write a part; raises OSError."""
     write_whole(path, packed(arrays, note))
@@ -107,7 +125,10 @@ def write_part(path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any])
 def read_part(
     path: Path, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Arrays (those of the names, or all) and note of a part; raises DamagedPart, OSError."""
+    """Arrays and note of a part, or of its arrays only those of the names.
+
+    Raises DamagedPart, OSError.
+    """
     import h5py
 
     if not path.is_file():
@@ -123,6 +144,11 @@ def read_part(
             if told["kinds"][name]["scalar"]:
                 arrays[name] = np.asarray(arrays[name][0])
         note = told["note"]
+        for name in [name for name in arrays if name.startswith("|")]:
+            holder, (*keys, last) = note, name[1:].split("|")
+            for key in keys:
+                holder = holder[int(key) if isinstance(holder, list) else key]
+            holder[int(last) if isinstance(holder, list) else last] = arrays.pop(name)
     except Exception as error:  # h5py reports damage by errors of many kinds
         raise DamagedPart(f"{path}: {' '.join(str(error).split())}") from None
     return arrays, note
@@ -162,9 +188,9 @@ class Work:
         self._write(self.folder / name, arrays, note)
         return self.folder / name
 
-    def save_state(self, name: str, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
-        """Replace the resumable state of work in progress; raises OutputError."""
-        self._write(self.folder / f"state-{name}{_SUFFIX}", arrays, note)
+    def save_state(self, name: str, state: Mapping[str, Any]) -> None:
+        """Replace the resumable state (a note) of work in progress; raises OutputError."""
+        self._write(self.folder / f"state-{name}{_SUFFIX}", {}, state)
 
     def drop_state(self, name: str) -> None:
         """Forget the state of work that is finished."""
@@ -182,10 +208,10 @@ class Work:
         """Parts of a kind in the order in which they were written, writer by writer."""
         return sorted(self.folder.glob(f"{kind}-*{_SUFFIX}"))
 
-    def state(self, name: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
+    def state(self, name: str) -> dict[str, Any] | None:
         """The state of work in progress, None where there is none that is whole."""
         try:
-            return read_part(self.folder / f"state-{name}{_SUFFIX}")
+            return read_part(self.folder / f"state-{name}{_SUFFIX}")[1]
         except (OSError, DamagedPart):
             return None
 
@@ -202,7 +228,7 @@ class Work:
         finished: the result is there, and shows the parts.
         """
         told = {"run": self.run, "identity": self.identity, "mends": self.mends}
-        told["finished"] = finished
+        told |= {"finished": finished, "format": _FORMAT}
         try:
             write_whole(self.folder / RUN, json.dumps(told).encode())
         except OSError as error:
@@ -270,6 +296,7 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
             "identity": dict(found["identity"]),
             "mends": bool(found.get("mends")),
             "finished": bool(found.get("finished")),
+            "format": found.get("format", 1),
         }
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -353,6 +380,8 @@ def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
     work = Work(target, wanted, 1).hold()
     found = _run_in(work.folder)
     other = "case" if found is None else first_difference(found["identity"], wanted)
+    if found is not None and found["format"] != _FORMAT:
+        other = "version of the program"
     if found is None or other is not None:
         work.close()
         raise CaseError(

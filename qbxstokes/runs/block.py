@@ -270,62 +270,43 @@ class _Integration:
 
     def save(self) -> None:
         """Keep what is finished of the block, and where the present attempt is."""
-        arrays: dict[str, NDArray[Any]] = {}
-        note: dict[str, Any] = {"ended": self.ended, "begun": None}
+        begun = result = None
         if self.begun is not None:
             name, run, seconds = self.begun
-            numbers = {**vars(run.checkpoint)}
-            gone = {lane: {**vars(contact)} for lane, contact in run.ended.items()}
-            arrays = {
-                "state": numbers.pop("state"),
-                "states": run.states[: numbers["next_sample"]],
-                "active": run.active,
-                "gone": np.array([contact.pop("state") for contact in gone.values()]),
-            }
-            note["begun"] = {
+            assert run.checkpoint is not None
+            begun = {
                 "name": name,
-                "checkpoint": numbers,
-                "seconds": seconds,
-                "gone": list(gone.values()),
+                "checkpoint": vars(run.checkpoint),
+                "states": run.states[: run.checkpoint.next_sample],
+                "active": run.active,
+                "gone": [vars(contact) for contact in run.ended.values()],
                 "nearest": run.nearest,
+                "seconds": seconds,
             }
         if "done" in self.ended.values():
-            result = self.result
-            arrays |= {f"summary|{name}": values for name, values in result.summary.items()}
-            arrays |= {f"quantity|{name}": values for name, values in result.quantities.items()}
+            result = vars(self.result).copy()
             for name in ("failed", "endings"):
-                note[name] = {str(row): why for row, why in getattr(result, name).items()}
-            note["totals"] = [result.steps, result.evaluations, result.nearest]
-        self.keeper.save(arrays, note)
+                result[name] = list(result[name].items())
+        self.keeper.save({"ended": self.ended, "begun": begun, "result": result})
 
     def restore(self) -> None:
         """Take up what an earlier run has kept."""
-        found = self.keeper.load()
-        if found is None:
+        kept = self.keeper.load()
+        if kept is None:
             return
-        arrays, note = found
-        self.ended = dict(note["ended"])
-        if note["begun"] is not None:
-            told = note["begun"]
-            states = np.full((len(self.times), *arrays["states"].shape[1:]), np.nan)
-            states[: len(arrays["states"])] = arrays["states"]
-            checkpoint = Checkpoint(**{**told["checkpoint"], "state": arrays["state"]})
-            gone = zip(told["gone"], arrays["gone"], strict=True)
-            ended = {int(c["lane"]): Contact(**c, state=state) for c, state in gone}
-            run = LaneRun(None, self.times, states, arrays["active"], checkpoint, ended)
-            run.nearest = told["nearest"]
-            self.begun = told["name"], run, told["seconds"]
-        if "totals" in note:
-            result = self.result
-            for name, values in arrays.items():
-                kind, _, key = name.partition("|")
-                if kind == "summary":
-                    result.summary[key] = values
-                elif kind == "quantity":
-                    result.quantities[key] = values
+        self.ended = kept["ended"]
+        if (begun := kept["begun"]) is not None:
+            states = np.full((len(self.times), *begun["states"].shape[1:]), np.nan)
+            states[: len(begun["states"])] = begun["states"]
+            checkpoint = Checkpoint(**begun["checkpoint"])
+            ended = {int(contact["lane"]): Contact(**contact) for contact in begun["gone"]}
+            run = LaneRun(None, self.times, states, begun["active"], checkpoint, ended)
+            run.nearest = begun["nearest"]
+            self.begun = begun["name"], run, begun["seconds"]
+        if (result := kept["result"]) is not None:
             for name in ("failed", "endings"):
-                setattr(result, name, {int(row): why for row, why in note[name].items()})
-            result.steps, result.evaluations, result.nearest = note["totals"]
+                result[name] = dict(result[name])
+            vars(self.result).update(result)
 
 
 def summarise(

@@ -62,8 +62,12 @@ class Gathering:
 
     def save(self) -> None:
         """Make what there is safe; raises OutputError."""
-        if self._items:
-            self.work.save(self._kind, *_packed(self._items, self._joined))
+        held, told = [arrays for arrays, _ in self._items], [note for _, note in self._items]
+        if self._joined and held:
+            rows = {name: np.concatenate([part[name] for part in held]) for name in held[0]}
+            self.work.save(self._kind, rows, {"items": told})
+        elif held:
+            self.work.save(self._kind, {}, {"items": told, "held": held})
         self._items, self._bytes = [], 0
         self.saved_at = time.monotonic()
 
@@ -77,7 +81,8 @@ class Gathering:
             self._comm.send(self._items, dest=0, tag=_TAG)
             return
         for path in self.work.parts(self._kind):
-            yield from _unpacked(*read_whole(path))
+            rows, note = read_whole(path)
+            yield from [(rows, note)] if rows else zip(note["held"], note["items"], strict=True)
         yield from self._items
         while self._waiting:
             yield from self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
@@ -98,15 +103,15 @@ class Keeper:
         """Whether the state is to be saved now, the next chance being so many seconds ahead."""
         return self._gathering.late(ahead)
 
-    def save(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+    def save(self, state: Mapping[str, Any]) -> None:
         """Make the state safe, and whatever else this rank has finished."""
         self._gathering.save()
-        self._gathering.work.save_state(self._name, arrays, {**note, "only": self._only})
+        self._gathering.work.save_state(self._name, {**state, "only": self._only})
 
-    def load(self) -> Item | None:
+    def load(self) -> dict[str, Any] | None:
         """The state that an earlier run has left of this block, None without one."""
         found = self._gathering.work.state(self._name)
-        return found if found is not None and found[1]["only"] == self._only else None
+        return found if found is not None and found["only"] == self._only else None
 
 
 def read_whole(path: Path, names: Sequence[str] | None = None) -> Item:
@@ -139,28 +144,3 @@ def notes(work: Work, kind: str) -> Iterator[dict[str, Any]]:
             path.unlink(missing_ok=True)
             continue
         yield from note["items"]
-
-
-def _packed(items: list[Item], joined: bool) -> Item:
-    """Items as the arrays and the note of one part."""
-    told = [note for _, note in items]
-    if joined:
-        names = items[0][0]
-        arrays = {name: np.concatenate([part[name] for part, _ in items]) for name in names}
-        return arrays, {"items": told, "joined": True}
-    arrays = {
-        f"{number}|{name}": values
-        for number, (part, _) in enumerate(items)
-        for name, values in part.items()
-    }
-    return arrays, {"items": told, "joined": False}
-
-
-def _unpacked(arrays: dict[str, Array], note: dict[str, Any]) -> Iterator[Item]:
-    if note["joined"]:
-        yield arrays, {"items": note["items"]}
-        return
-    for number, told in enumerate(note["items"]):
-        prefix = f"{number}|"
-        own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
-        yield own, told

@@ -28,6 +28,7 @@ from qbxstokes.simulation.event_watch import split_columns
 Array = NDArray[np.float64]
 
 SAMPLES, ROWS = "samples", "rows"
+STATE = "|integrator|state"  # the dataset of a part that holds the checkpoint's state
 # Samples that are kept in memory for the comparison with a reference; thinned from there on.
 _KEPT = 20_000
 # Rows are kept in memory up to this size (bytes) before the disk is needed, and go to the result
@@ -88,13 +89,13 @@ class Recording:
     def _reopen(self) -> None:
         """Go on from the checkpoint in the last part."""
         try:
-            reached, arrays, note = 0, dict[str, Array](), dict[str, Any]()
+            reached, note = 0, dict[str, Any]()
             for path in self.work.parts(ROWS):
-                arrays, note = read_part(path, ["state"])
+                _, note = read_part(path, [STATE])
                 if note["first"] != reached:
                     raise DamagedPart(f"a part is missing before {path.name}")
                 reached = note["integrator"]["next_sample"]
-            self.start = Checkpoint(**{**note["integrator"], "state": arrays["state"]})
+            self.start = Checkpoint(**note["integrator"])
             self._events, self._run = note["events"], note["run"]
         except (DamagedPart, OSError, KeyError, TypeError) as error:
             self.work.close()
@@ -148,9 +149,7 @@ class Recording:
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self._waiting.append((SAMPLES, rows))
             self._waiting += events.take().items()
-            numbers = {**vars(chunk.checkpoint)}
-            state = numbers.pop("state")
-            self._latest = {"integrator": numbers, "events": events.state(), "state": state}
+            self._latest = {"integrator": vars(chunk.checkpoint), "events": events.state()}
             if chunk.checkpoint.next_sample < len(self._plan.times) and self._due(chunk):
                 self.save()
 
@@ -173,13 +172,10 @@ class Recording:
             return
         if not self.saved:
             self.work.note_run()
-        note = {name: self._latest[name] for name in ("integrator", "events")}
-        note["first"] = self._safe
         rows = dict(_joined(self._waiting, math.inf))
-        arrays = {**rows, "state": self._latest["state"]}
-        self.work.save(ROWS, arrays, {**note, "run": self._run})
-        self._waiting, self._safe = [], self._latest["integrator"]["next_sample"]
+        self.work.save(ROWS, rows, {**self._latest, "first": self._safe, "run": self._run})
         numbers = self._latest["integrator"]
+        self._waiting, self._safe = [], numbers["next_sample"]
         self._saved = (time.monotonic(), numbers["steps"], numbers["time"])
         self.saved = True
 
@@ -199,7 +195,7 @@ class Recording:
                     f"{self.work.folder}: a part cannot be read ({error}); begin anew with "
                     "--overwrite"
                 ) from None
-            yield from ((name, rows) for name, rows in arrays.items() if name != "state")
+            yield from arrays.items()
         yield from self._waiting
 
     def write(self, writer: ResultWriter, quantities: Iterable[str]) -> dict[str, Array]:
