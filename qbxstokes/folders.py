@@ -1,4 +1,4 @@
-"""Folders of the user's in which something is kept from run to run, where that can be done at all.
+"""Files that can be read, and folders in which something is kept from run to run, if it can be.
 
 In a container or on a compute node it may not: the package is not writable, HOME is absent, `/`, or
 full. Nothing that is kept is needed; what cannot be kept is made anew and told.
@@ -41,6 +41,22 @@ def default_folder() -> Path | None:
         # The specification has relative paths ignored.
         base = Path(named) if os.path.isabs(named) else home / ".cache"
     return base / "qbxstokes"
+
+
+def unreadable(path: Path, wanted: str) -> str:
+    """Why a path is no file to be read, and that `wanted` is to be named; '' where it is one."""
+    try:
+        if path.is_dir():
+            wrong = "is a directory"
+        elif not path.exists():
+            wrong = "no such file"
+        elif not path.is_file():  # reading might wait, or go on, for ever
+            wrong = "is a pipe or device"
+        else:
+            return "" if os.access(path, os.R_OK) else "no permission to read it"
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    return f"{wrong}; name {wanted}"
 
 
 def unwritable(folder: Path) -> str:

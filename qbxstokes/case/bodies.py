@@ -79,10 +79,11 @@ _COLUMNS: dict[str, tuple[str, ...]] = {
     "torque": ("forces", "torque"),
 }
 _PARTS = {"position": "123", "axis": "123", "orientation": "0123", "force": "123", "torque": "123"}
-_NAMES = {
-    **{name: (name, None) for name in _COLUMNS if name not in _PARTS},
-    **{f"{name}_{part}": (name, i) for name in _PARTS for i, part in enumerate(_PARTS[name])},
-}
+
+
+def _parts(name: str) -> list[str]:
+    """Columns of a quantity: position_1 and so on."""
+    return [f"{name}_{part}" for part in _PARTS.get(name, "")] or [name]
 
 
 def expanded(value: Any, folder: Path) -> Any:
@@ -93,63 +94,52 @@ def expanded(value: Any, folder: Path) -> Any:
         if not isinstance(value["table"], str):
             raise Problem(f"is {describe(value['table'])}", "the name of a CSV or HDF5 file")
         path = folder / value["table"]
-        names, numbers = _datasets(path) if path.suffix in (".h5", ".hdf5") else _lines(path)
-        for name in names or ("",):
-            if name not in _NAMES:
-                right = meant(name, _NAMES, f"columns of {', '.join(_NAMES)}")
+        held = _datasets(path) if path.suffix in (".h5", ".hdf5") else _columns(path)
+        known = [part for name in _COLUMNS for part in _parts(name)]
+        for name in held or ("",):
+            if name not in known:
+                right = meant(name, known, f"columns of {', '.join(known)}")
                 raise Problem(f"{path}: {name or 'has no header'} is no column", right)
-        lacking = [f"{n}_{p}" for n in _PARTS for p in _PARTS[n] if f"{n}_{p}" not in names]
-        for name in lacking:
-            whole = name.rpartition("_")[0]
-            if any(other.rpartition("_")[0] == whole for other in names):
-                raise Problem(f"{path}: {name} is missing", f"all components of {whole}")
-        return [_entry(names, row) for row in numbers]
+        bodies: list[dict[str, Any]] = [{} for _ in next(iter(held.values()))]
+        for name, (*sections, last) in _COLUMNS.items():
+            there = [held[part] for part in _parts(name) if part in held]
+            if not there:
+                continue
+            if len(there) < len(_parts(name)):
+                lacking = next(part for part in _parts(name) if part not in held)
+                raise Problem(f"{path}: {lacking} is missing", f"all components of {name}")
+            for body, row in zip(bodies, zip(*there, strict=True), strict=True):
+                for section in sections:
+                    body = body.setdefault(section, {})
+                body[last] = list(row) if name in _PARTS else row[0]
+        return bodies
 
 
-def _lines(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
-    """Names of columns, and a row for each body, of a CSV file."""
+def _columns(path: Path) -> dict[str, list[float]]:
+    """Columns of a CSV file, by name, that has a row for each body."""
     try:
         table = read_table(path)
     except TableError as error:
         raise Problem(str(error), "a header and one line a body") from None
-    return table.names, table.numbers.tolist()
+    return dict(zip(table.names, table.numbers.T.tolist(), strict=False))
 
 
-def _datasets(path: Path) -> tuple[tuple[str, ...], list[list[float]]]:
+def _datasets(path: Path) -> dict[str, list[float]]:
     """The same of an HDF5 file with a dataset of each quantity: position (N, 3), size (N,)."""
     try:
         found = read_datasets(path)
     except TableError as error:
         right = "datasets such as aspect_ratio (N,) and position (N, 3)"
         raise Problem(str(error), right) from None
+    columns: dict[str, list[float]] = {}
     for name, values in found.items():
         width = (len(_PARTS[name]),) if name in _PARTS else ()
         if name not in _COLUMNS or values.shape[1:] != width:
             wrong = f"{path}: {name}, of shape {values.shape}, is no quantity of bodies"
             raise Problem(wrong, meant(name, _COLUMNS, f"some of {', '.join(_COLUMNS)}"))
-    names: list[str] = []
-    rows: list[list[float]] = [[] for _ in next(iter(found.values()))]
-    for name, values in found.items():
-        names += [f"{name}_{part}" for part in _PARTS[name]] if name in _PARTS else [name]
-        for row, more in zip(rows, values.reshape(len(values), -1).tolist(), strict=True):
-            row += more
-    return tuple(names), rows
-
-
-def _entry(names: tuple[str, ...], row: list[float]) -> dict[str, Any]:
-    """The keys of one body from a row of a table."""
-    entry: dict[str, Any] = {}
-    for name, value in zip(names, row, strict=True):
-        column, place = _NAMES[name]
-        holder = entry
-        for part in _COLUMNS[column][:-1]:
-            holder = holder.setdefault(part, {})
-        last = _COLUMNS[column][-1]
-        if place is None:
-            holder[last] = value
-        else:
-            holder.setdefault(last, [0.0] * len(_PARTS[column]))[place] = value
-    return entry
+        parts = values.reshape(len(values), -1).T.tolist()
+        columns |= dict(zip(_parts(name), parts, strict=True))
+    return columns
 
 
 # Keys that have no meaning where bodies share a fluid or feel a wall.
@@ -243,26 +233,33 @@ def _field(given: dict[str, Any], listed: bool) -> dict[str, Any]:
 
 
 def check_members(members: Sequence[BodyEntry], forces: Forces, listed: bool) -> None:
-    """Refuse what bodies of one fluid cannot have; raises Problem."""
+    """Refuse what bodies cannot have, by themselves or together; raises Problem."""
     for index, body in enumerate(members):
         with at(*(("bodies", index) if listed else ())):
             own = () if listed else ("body",)
             if bool(body.stokes_number) != bool(members[0].stokes_number):
                 wrong, right = "mixes bodies with and without inertia", "all of them, or none"
                 raise Problem(wrong, right, (*own, "stokes_number"))
-            if body.inertia != "both":
-                raise Problem("is not both", "both, beside others or a wall", (*own, "inertia"))
             for name in ("velocity", "angular_velocity"):
                 given = getattr(body.start, name) != WITH_FLOW
                 if given != (getattr(members[0].start, name) != WITH_FLOW):
                     raise Problem("is not given of all", "of all bodies, or none", ("start", name))
                 if given and not body.stokes_number:
                     wrong = "has no meaning for a massless body (stokes_number: 0)"
-                    raise Problem(wrong, "leave it out", ("start", name))
+                    right = "leave it out, or give the body a stokes_number > 0"
+                    raise Problem(wrong, right, ("start", name))
             gravity = (body.forces or forces).gravity
             if gravity is not None and gravity.number is None and not body.stokes_number:
                 right = "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight"
                 path = ("forces", "gravity", "acceleration")
                 raise Problem("needs a stokes_number > 0", right, path)
-            if body.shape is not None and not isinstance(body.outline, Spheroid):
-                raise Problem("is no spheroid", "spheroids: gaps are theirs", (*own, "shape"))
+
+
+def check_coupled(members: Sequence[BodyEntry], listed: bool) -> None:
+    """Refuse bodies that cannot share a fluid, or feel a wall; raises Problem."""
+    for index, body in enumerate(members):
+        own = ("bodies", index) if listed else ("body",)
+        if body.inertia != "both":
+            raise Problem("is not both", "both, beside others or a wall", (*own, "inertia"))
+        if body.shape is not None and not isinstance(body.outline, Spheroid):
+            raise Problem("is no spheroid", "spheroids: gaps are theirs", (*own, "shape"))

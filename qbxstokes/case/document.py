@@ -24,6 +24,7 @@ import yaml
 from qbxstokes.case.model import Section
 from qbxstokes.case.values import Key, Problem
 from qbxstokes.errors import CaseError, escaped
+from qbxstokes.folders import unreadable
 
 MAX_BYTES = 8 * 2**20
 MAX_DEPTH = 24
@@ -144,15 +145,11 @@ class Document:
 def read_text(path: Path) -> str:
     """The text of a case file; every way that reading can go wrong is a CaseError."""
     name = printable(str(path), 400)
+    if wrong := unreadable(path, "a case file (.yaml)"):
+        raise CaseError(f"{name}: {wrong}")
     try:
-        if path.is_dir():
-            raise CaseError(f"{name}: is a directory; name a case file (.yaml)")
-        if path.exists() and not path.is_file():  # reading a pipe might wait for ever
-            raise CaseError(f"{name}: is a pipe or device; name a case file (.yaml)")
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise CaseError(f"{name}: no such file; name an existing case file (.yaml)") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise CaseError(f"{name}: cannot be read ({printable(reason)})") from None

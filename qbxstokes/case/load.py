@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.bodies import expanded
-from qbxstokes.case.document import (
-    Document,
-    document_of,
-    parse,
-    parse_key,
-    plain,
-    read_text,
-)
+from qbxstokes.case.document import Document, document_of, parse, parse_key, plain, read_text
 from qbxstokes.case.schema import FOREIGN, Case, keys
 from qbxstokes.case.sweep import TABLE, TRAJECTORY, Sweep, SweepSpace, build_space
 from qbxstokes.case.values import Key, Problem, at, meant

@@ -291,3 +291,12 @@ class Section(types.SimpleNamespace):
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"{type(self).__name__} is immutable")
+
+
+def switch(section: type[Section]) -> Reader:
+    """A section that may be written as true, with its defaults, or as false: none."""
+
+    def read(value: Any) -> Section | None:
+        return section.read({} if value is True else value) if value not in (None, False) else None
+
+    return Reader(read, {"anyOf": [{"type": ["boolean", "null"]}, section.json]}, section)

@@ -16,18 +16,15 @@ from qbxstokes.case.model import (
     pointing,
     several,
     some,
+    switch,
     whole,
 )
-from qbxstokes.case.values import Problem, describe, increasing, to_number
+from qbxstokes.case.values import Problem, describe, increasing, or_infinite
 
 ISOTROPIC = "isotropic"
 
 
-def _or_infinite(value: Any) -> float:
-    return math.inf if value in ("inf", ".inf", math.inf) else to_number(value)
-
-
-_MANY = some(number(_or_infinite, gt=0))
+_MANY = some(number(or_infinite, gt=0))
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
@@ -37,7 +34,7 @@ def _numbers(value: Any) -> tuple[float, ...]:
 NUMBERS = Reader(_numbers, {"anyOf": [{"type": ["number", "string"]}, _MANY.json]})
 _FORMS: dict[str, Any] = {
     "aligned": pointing(VECTOR),
-    "orbits": some(number(_or_infinite, ge=0)),
+    "orbits": some(number(or_infinite, ge=0)),
     "table": NAME,
 }
 
@@ -89,16 +86,6 @@ class LangevinSection(Section):
     )
 
 
-def _langevin(value: Any) -> LangevinSection | None:
-    """true is a section of defaults, false none."""
-    return LangevinSection.read({} if value is True else value) if value else None
-
-
-LANGEVIN = Reader(
-    _langevin, {"anyOf": [{"type": ["boolean", "null"]}, LangevinSection.json]}, LangevinSection
-)
-
-
 class RheologySection(Section):
     """A dilute suspension of the body in a homogeneous flow."""
 
@@ -135,7 +122,7 @@ class RheologySection(Section):
         "axes to draw from each density, such as starts of an ensemble", 0
     )
     seed: Annotated[int, whole(ge=0, lt=2**63)] = key("of the axes that are drawn", 0)
-    langevin: Annotated[LangevinSection | None, LANGEVIN] = key(
+    langevin: Annotated[LangevinSection | None, switch(LangevinSection)] = key(
         "follow single axes with random turns, whose means have standard errors", None, True
     )
     tables: bool = key("also write the densities as CSV files of theta, phi, density", False)

@@ -1,6 +1,5 @@
 """Sections of the scene: body, flow, start, forces, constraints."""
 
-import math
 from typing import Annotated, Any, Literal
 
 from qbxstokes.case.model import (
@@ -22,6 +21,7 @@ from qbxstokes.case.values import (
     describe,
     increasing,
     meant,
+    or_infinite,
     to_number,
     with_numbers,
 )
@@ -126,10 +126,6 @@ class EulerAngles(Section):
     psi: Angle = key("psi, radians or '90 deg'", 0.0, 0.0)
 
 
-def _orbit_constant(value: Any) -> float:
-    return math.inf if value in ("inf", ".inf", math.inf) else to_number(value)
-
-
 class Orbit(Section):
     """Axis on a Jeffery orbit of the shear u = (x2, 0, 0).
 
@@ -137,7 +133,7 @@ class Orbit(Section):
     360 deg a period, and phase 0 is an axis in the plane of x1 and x3.
     """
 
-    constant: Annotated[float, number(_orbit_constant, ge=0)] = key(
+    constant: Annotated[float, number(or_infinite, ge=0)] = key(
         "orbit constant C = tan(theta) at phase 0: 0 is log-rolling, inf tumbling", example=1.0
     )
     phase: Angle = key("phase, radians or '90 deg'", 0.0, 0.0)

@@ -12,6 +12,7 @@ from qbxstokes.case.bodies import (
     BodyEntry,
     Repulsion,
     Surroundings,
+    check_coupled,
     check_members,
     coupled,
     prepared,
@@ -210,13 +211,19 @@ class Case(Section, **_MOVED, **_WITHIN):
                 raise Problem(wrong, right, ("start",))
             if self.hydrodynamics.solve == "every_step":
                 raise Problem(wrong, right, ("hydrodynamics", "solve"))
+        listed = self.bodies is not None
+        check_members(self.members, self.forces, listed)
         if self.coupled:
-            check_members(self.members, self.forces, self.bodies is not None)
+            check_coupled(self.members, listed)
         else:
             if self.repulsion is not None:
                 wrong = "has no meaning for one body in an unbounded fluid"
                 raise Problem(wrong, "leave it out", ("repulsion",))
-            self._check_forces()
+            for bound, moving in (("translation", "velocity"), ("rotation", "angular_velocity")):
+                held = getattr(self.constraints, bound) != FREE
+                if held and getattr(self.start, moving) != WITH_FLOW:
+                    wrong = f"has no meaning with constraints.{bound}"
+                    raise Problem(wrong, "leave it out", ("start", moving))
             self._check_uniform_radius()
 
     @property
@@ -236,26 +243,6 @@ class Case(Section, **_MOVED, **_WITHIN):
         if self.bodies is not None:
             return self.bodies
         return (BodyEntry(**vars(self.body), start=self.start),)
-
-    def _check_forces(self) -> None:
-        """Refuse weights without mass, and starts that a constraint leaves no room for."""
-        gravity, massless = self.forces.gravity, self.body.stokes_number == 0
-        if gravity is not None and gravity.number is None and massless:
-            raise Problem(
-                "needs a stokes_number > 0",
-                "give number, G = (rho_p - rho_f) g c tau/mu, of a massless body's weight",
-                ("forces", "gravity", "acceleration"),
-            )
-        for bound, moving in (("translation", "velocity"), ("rotation", "angular_velocity")):
-            if getattr(self.start, moving) == WITH_FLOW:
-                continue
-            if massless:
-                wrong = "has no meaning for a massless body (stokes_number: 0)"
-                right = "leave it out, or give the body a stokes_number > 0"
-                raise Problem(wrong, right, ("start", moving))
-            if getattr(self.constraints, bound) != FREE:
-                wrong = f"has no meaning with constraints.{bound}"
-                raise Problem(wrong, "leave it out", ("start", moving))
 
     def _check_uniform_radius(self) -> None:
         """Refuse a global expansion radius that leaves the ball touching the surface in one point.

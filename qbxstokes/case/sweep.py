@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.case.document import ORIENTATION, assigned, parse_key
-from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, whole
+from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, switch, whole
 from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
 from qbxstokes.tables import Table, TableError, fault, read_table
 
@@ -56,14 +56,6 @@ class Measure(Section):
     )
 
 
-def _measure(value: Any) -> Measure | None:
-    """true is a section of defaults, false none."""
-    return Measure.read({} if value is True else value) if value not in (None, False) else None
-
-
-MEASURE = Reader(_measure, {"anyOf": [{"type": ["boolean", "null"]}, Measure.json]}, Measure)
-
-
 class Sweep(Section):
     """A family of trajectories: axes that multiply, each one or several keys side by side."""
 
@@ -81,7 +73,7 @@ class Sweep(Section):
     discard: Annotated[float, number(ge=0, lt=1)] = key(
         "part of the time left out of averages, from the start", 0.0
     )
-    measure: Annotated[Measure | None, MEASURE] = key(
+    measure: Annotated[Measure | None, switch(Measure)] = key(
         "compute each trajectory alone, warm and without the cache, and record set-up "
         "and wall time, iterations and error as well; PETSc options may then be swept",
         None,

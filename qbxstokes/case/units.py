@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from qbxstokes.case.model import Reader, Section, key
-from qbxstokes.case.values import Problem, describe
+from qbxstokes.case.values import Problem, at, describe
 from qbxstokes.errors import SceneError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.units import GIVEN, Scales, has_unit
@@ -70,12 +70,8 @@ class Units(Section):
 
 def nondimensional(data: dict[str, Any]) -> dict[str, Any]:
     """A case with its `units` in units of c, tau and mu: St, G and every number with a unit."""
-    try:
+    with at("units"):
         section = Units.read(data["units"])
-    except Problem as problem:
-        for fault in problem.faults:
-            fault.key = ("units", *fault.key)
-        raise
     scales = section.scales
     converted = dict(_plain(data, (), scales))
     task = data.get("task", "motion")

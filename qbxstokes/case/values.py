@@ -128,6 +128,11 @@ def to_number(value: Any) -> float:
     return number
 
 
+def or_infinite(value: Any) -> float:
+    """A number, or inf."""
+    return math.inf if value in ("inf", ".inf", math.inf) else to_number(value)
+
+
 def to_angle(value: Any) -> float:
     """An angle in radians: a number, or a string such as '90 deg' or 'pi/2'."""
     if not isinstance(value, str):

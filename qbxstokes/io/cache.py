@@ -48,14 +48,15 @@ def fingerprint() -> str:
 
 
 class Cache:
-    """Entries in one folder; with `folder` None nothing is found and nothing kept.
+    """Entries in one folder; with `folder` None nothing is found there and nothing kept.
 
     problems: one line for each entry that was damaged or could not be written. found, stored:
-    counts.
+    counts. entries: what was loaded or stored, if it is `shared` with other ranks.
     """
 
-    def __init__(self, folder: Path | None) -> None:
+    def __init__(self, folder: Path | None, shared: bool = False) -> None:
         self.folder = folder
+        self.entries: dict[str, dict[str, NDArray[Any]]] | None = {} if shared else None
         self.problems: list[str] = []
         self.found = 0
         self.stored = 0
@@ -67,9 +68,11 @@ class Cache:
 
         fault: says what is wrong with the arrays, '' where nothing is.
         """
+        text = _text(kind, key)
+        if self.entries is not None and text in self.entries:
+            return dict(self.entries[text])
         if self.folder is None:
             return None
-        text = _text(kind, key)
         path = self._path(kind, text)
         try:
             arrays, note = _own_part(path)
@@ -84,13 +87,17 @@ class Cache:
             self.problems.append(f"{path}: {wrong}; computed anew")
             return None
         self.found += 1
-        return arrays
+        if self.entries is not None:
+            self.entries[text] = arrays
+        return dict(arrays)
 
     def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep the arrays under this key; a folder that cannot be written is told, no more."""
+        text = _text(kind, key)
+        if self.entries is not None:
+            self.entries[text] = dict(arrays)
         if self.folder is None:
             return
-        text = _text(kind, key)
         path = self._path(kind, text)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -119,38 +126,6 @@ def _own_part(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 def open_cache(named: str | None, off: bool = False) -> Cache:
     """The cache of a run: a named folder, else that of QBXSTOKES_CACHE or of the user."""
     return Cache(None if off else Path(named).expanduser() if named else default_folder())
-
-
-class SharedCache(Cache):
-    """A cache that also holds its entries in memory, to be given to other ranks.
-
-    entries: what was loaded or stored here, or `receive`d from others.
-    """
-
-    def __init__(self, folder: Path | None) -> None:
-        super().__init__(folder)
-        self.entries: dict[str, dict[str, NDArray[Any]]] = {}
-
-    def load(
-        self, kind: str, key: Mapping[str, Any], fault: Callable[[Arrays], str] = lambda _: ""
-    ) -> dict[str, NDArray[Any]] | None:
-        """The arrays kept under this key, from memory if they are there."""
-        text = _text(kind, key)
-        if text not in self.entries:
-            arrays = super().load(kind, key, fault)
-            if arrays is None:
-                return None
-            self.entries[text] = arrays
-        return dict(self.entries[text])
-
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep the arrays in memory and on disk."""
-        self.entries[_text(kind, key)] = dict(arrays)
-        super().store(kind, key, arrays)
-
-    def receive(self, entries: Mapping[str, dict[str, NDArray[Any]]]) -> None:
-        """Hold the entries of another rank."""
-        self.entries.update(entries)
 
 
 def _text(kind: str, key: Mapping[str, Any]) -> str:

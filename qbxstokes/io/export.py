@@ -203,11 +203,7 @@ def _netcdf(result: Result, path: Path) -> list[Path]:
     return [path]
 
 
-FORMATS: dict[str, Callable[[Result, Path], list[Path]]] = {
-    "csv": _csv,
-    "npz": _npz,
-    "nc": _netcdf,
-}
+FORMATS: dict[str, Callable[[Result, Path], list[Path]]] = {"csv": _csv, "npz": _npz, "nc": _netcdf}
 
 
 def write(result: Result, path: Path) -> list[Path]:

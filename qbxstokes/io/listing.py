@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,6 +86,26 @@ class Held(Mapping[str, Any]):
 
     def __repr__(self) -> str:
         return "\n".join(self.lines()) or "nothing"
+
+
+class LazyArrays(Mapping[str, Any]):
+    """Arrays of known shapes by name, each made by `read` when it is first used."""
+
+    def __init__(self, shapes: Mapping[str, Shape], read: Callable[[str], Any]) -> None:
+        self.shapes, self._read = dict(shapes), read
+        self._held: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._held:
+            self.shapes[name]  # KeyError, if there is none
+            self._held[name] = self._read(name)
+        return self._held[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.shapes)
+
+    def __len__(self) -> int:
+        return len(self.shapes)
 
 
 def holds(result: Result) -> dict[str, list[tuple[str, str]]]:

@@ -3,42 +3,20 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
-from qbxstokes.io.listing import units_in_groups
+from qbxstokes.io.listing import LazyArrays, units_in_groups
 from qbxstokes.units import Scales
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
 
 Array = NDArray[Any]
-
-
-class Converted(Mapping[str, Array]):
-    """Arrays by name, each converted when it is first used."""
-
-    def __init__(self, result: Result, scales: Scales) -> None:
-        self._result, self._scales = result, scales
-        self.shapes = result.shapes
-        self._held: dict[str, Array] = {}
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._held:
-            about = self._result.attributes[name]
-            convert = _table if name == "table" else _array
-            self._held[name] = convert(self._result.arrays[name], about, self._scales)
-        return self._held[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.shapes)
-
-    def __len__(self) -> int:
-        return len(self.shapes)
 
 
 def physical(result: Result) -> Result:
@@ -48,8 +26,13 @@ def physical(result: Result) -> Result:
         right = "a section `units` in the case gives them"
         raise ResultFileError(f"{result.path}: holds no physical scales; {right}")
     scales = Scales(given)
+
+    def converted(name: str) -> Array:
+        convert = _table if name == "table" else _array
+        return convert(result.arrays[name], result.attributes[name], scales)
+
     found = copy.copy(result)
-    found.original, found.arrays = result, Converted(result, scales)
+    found.original, found.arrays = result, LazyArrays(result.shapes, converted)
     found.attributes = {name: _told(about, scales) for name, about in result.attributes.items()}
     found.groups = _group(result.groups, scales)
     found.converted_by = scales

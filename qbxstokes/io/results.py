@@ -9,9 +9,8 @@ attributes `format`, `format_version`, `task`, `conventions` at the root.
 
 from __future__ import annotations
 
-import os
 from collections import ChainMap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import HeldFileError, ResultFileError
+from qbxstokes.folders import unreadable
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, is_dimension, open_file, read_tree
-from qbxstokes.io.listing import Held, listing
+from qbxstokes.io.listing import Held, LazyArrays, listing
 from qbxstokes.io.names import newest
-from qbxstokes.io.physical import Converted
 from qbxstokes.motion.means import Mean, mean_of
 
 if TYPE_CHECKING:
@@ -168,31 +167,6 @@ class Result:
         return write(self, Path(path))
 
 
-class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Datasets of a file by name, each read into memory when it is first used."""
-
-    def __init__(self, path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        self.path, self.shapes = path, dict(shapes)
-        self._held: dict[str, NDArray[Any]] = {}
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._held:
-            if name not in self.shapes:
-                raise KeyError(name)
-            try:
-                with open_file(self.path) as file:
-                    self._held[name] = file[name][()]
-            except OSError as error:
-                raise _damaged(self.path, error) from None
-        return self._held[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.shapes)
-
-    def __len__(self) -> int:
-        return len(self.shapes)
-
-
 class SweepResult(Result):
     """A sweep: `table` holds one row per trajectory, the quantities are (trajectory, time, ...).
 
@@ -213,7 +187,7 @@ class SweepResult(Result):
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the datasets by name; nothing is read for them."""
-        assert isinstance(self.arrays, LazyArrays | Converted)
+        assert isinstance(self.arrays, LazyArrays)
         return self.arrays.shapes
 
     def mean(self, name: str, discard: float = 0.0) -> Mean:
@@ -277,17 +251,8 @@ def load(path: str | Path, units: bool = False) -> Result:
 def _read(path: Path) -> Result:
     import h5py
 
-    try:
-        if path.is_dir():
-            raise ResultFileError(f"{path}: is a directory; name a result file (.h5)")
-        if not path.exists():
-            raise ResultFileError(f"{path}: no such file; name a result file (.h5)")
-        if not path.is_file():  # reading a pipe might wait for ever
-            raise ResultFileError(f"{path}: is a pipe or device; name a result file (.h5)")
-        if not os.access(path, os.R_OK):
-            raise ResultFileError(f"{path}: no permission to read it")
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be read ({error.strerror})") from None
+    if wrong := unreadable(path, "a result file (.h5)"):
+        raise ResultFileError(f"{path}: {wrong}")
     if not h5py.is_hdf5(path):
         raise ResultFileError(f"{path}: is not an HDF5 file; name a result of this program")
     try:
@@ -309,7 +274,8 @@ def _read(path: Path) -> Result:
                 if "status" not in (items["table"].dtype.names or ()):
                     raise ResultFileError(f"{path}: is damaged: its table is not one of a sweep")
                 _look_for_parts(path, groups.get(PARTS, {}))
-                lazy = LazyArrays(path, {name: item.shape for name, item in items.items()})
+                shapes = {name: item.shape for name, item in items.items()}
+                lazy = LazyArrays(shapes, lambda name: _dataset(path, name))
                 return SweepResult(path, header, lazy, attributes, groups)
             arrays = {name: item[()] for name, item in items.items()}
             if "summary" not in groups:
@@ -319,6 +285,14 @@ def _read(path: Path) -> Result:
     except Exception as error:  # h5py reports damage by errors of many kinds
         raise _damaged(path, error) from None
     return Result(path, header, arrays, attributes, groups)
+
+
+def _dataset(path: Path, name: str) -> NDArray[Any]:
+    try:
+        with open_file(path) as file:
+            return np.asarray(file[name][()])
+    except OSError as error:
+        raise _damaged(path, error) from None
 
 
 def _damaged(path: Path, error: Exception) -> ResultFileError:

@@ -123,9 +123,7 @@ class ResultWriter:
         write_tree(self.file.create_group("provenance"), provenance or {})
 
     def append(
-        self,
-        samples: Mapping[str, ArrayLike],
-        about: Mapping[str, Quantity] = RECORDABLE,
+        self, samples: Mapping[str, ArrayLike], about: Mapping[str, Quantity] = RECORDABLE
     ) -> None:
         """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
 

@@ -310,11 +310,7 @@ class _Integration:
 
 
 def summarise(
-    result: BlockResult,
-    run: LaneRun,
-    samples: Mapping[str, Array],
-    rows: Indices,
-    discard: float,
+    result: BlockResult, run: LaneRun, samples: Mapping[str, Array], rows: Indices, discard: float
 ) -> None:
     """Fill in quantities, averages and final states of the lanes of a finished run.
 

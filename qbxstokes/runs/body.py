@@ -115,9 +115,5 @@ def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]
     if not scene.several:
         one = ("resistance", "mobility")
         arrays = {name: a if name in one else a[0] for name, a in arrays.items()}
-    summary |= {
-        "nodes": free.nodes,
-        "iterations": free.iterations,
-        "error_estimates": errors,
-    }
+    summary |= {"nodes": free.nodes, "iterations": free.iterations, "error_estimates": errors}
     return arrays, summary

@@ -81,10 +81,7 @@ class Job:
         return {**told, "complete": complete}
 
     def write(
-        self,
-        found: Mapping[str, Any],
-        arrays: Mapping[str, Any],
-        about: Mapping[str, Quantity],
+        self, found: Mapping[str, Any], arrays: Mapping[str, Any], about: Mapping[str, Quantity]
     ) -> dict[str, Any]:
         """Write the result of a task that ends at once, whole arrays; returns the summary.
 

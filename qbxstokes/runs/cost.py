@@ -67,25 +67,12 @@ class Estimate:
     layout: float
     memory: float
 
-    @property
-    def work(self) -> float:
-        """Seconds of one rank alone."""
-        return self.seconds(1)
-
     def seconds(self, ranks: int) -> float:
         """Wall time on a number of ranks."""
-        return sum(self.parts(ranks).values())
-
-    def parts(self, ranks: int) -> dict[str, float]:
-        """Seconds on a number of ranks by what takes them."""
-        return {
-            "models": self.models / min(ranks, max(self.bodies, 1)),
-            "integration": self.integration / ranks,
-            "output": self.output / ranks,
-            "hand-out": self.handout,
-            "last block": 0.0 if ranks == 1 else 0.5 * self.last_block,
-            "layout": self.layout,
-        }
+        shared = (self.integration + self.output) / ranks
+        models = self.models / min(ranks, max(self.bodies, 1))
+        last = 0.0 if ranks == 1 else 0.5 * self.last_block
+        return models + shared + self.handout + last + self.layout
 
 
 # -- what is forecast -----------------------------------------------------------------------------
@@ -189,11 +176,6 @@ def _sampling(run: LaneRun, quantities: tuple[str, ...]) -> float:
     return (time.process_time() - begin) * len(run.times) / some
 
 
-def motion_seconds(plan: MotionPlan) -> float:
-    """What a single motion takes after the start, without a comparison and without a field."""
-    return MODEL + begun([plan.simulation], plan.times, plan.quantities)
-
-
 def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
     """What the points of `task: field` take after the start, from the set-up and some of them."""
     section, begin, body = loaded.case.field, time.process_time(), plan.simulation.body
@@ -258,13 +240,16 @@ def suspension_seconds(loaded: LoadedCase, plan: Plan) -> float:
 
 
 def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
-    """What a single run takes, None for tasks of which that is not told."""
+    """What a single run takes after the start, None for tasks of which that is not told.
+
+    That of a motion is without its comparison and its field.
+    """
     if loaded.case.coupled:
         return coupled_seconds(plan) if isinstance(plan, MotionPlan) else None
     if loaded.case.task == "rheology":
         return suspension_seconds(loaded, plan)
     if isinstance(plan, MotionPlan):
-        return motion_seconds(plan)
+        return MODEL + begun([plan.simulation], plan.times, plan.quantities)
     return field_seconds(loaded, plan) if loaded.case.task == "field" else None
 
 

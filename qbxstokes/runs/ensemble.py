@@ -125,13 +125,8 @@ def _bodies(
         for name, given in (("forces", case.forces.given), ("constraints", case.constraints.given)):
             if given:
                 raise loaded.error(name, "have no statistics", "leave them out")
-        bodies.append(
-            Body(
-                shape=case.body.outline,
-                stokes_number=case.body.stokes_number,
-                hydrodynamics=case.hydrodynamics,
-            )
-        )
+        stokes, settings = case.body.stokes_number, case.hydrodynamics
+        bodies.append(Body(shape=case.body.outline, stokes_number=stokes, hydrodynamics=settings))
     return tuple(bodies), swept
 
 
@@ -193,12 +188,8 @@ def _run(job: Job, ensemble: Ensemble, swept: dict[str, NDArray[Any]]) -> dict[s
         with job.clock.part("output"):
             if comm.rank:
                 list(gathering.collect())
-            return on_root(
-                comm,
-                lambda: _write(
-                    job, ensemble, swept, folder, gathering, len(units), sampling, begin
-                ),
-            )
+            told = sampling, len(units), begin
+            return on_root(comm, lambda: _write(job, ensemble, swept, folder, gathering, *told))
 
 
 def _follow(
@@ -238,9 +229,8 @@ def _follow(
                     counters.add(HandOut.DONE, BLOCK)
                     poke()
             with clock.part("output"):
-                gathering.add(
-                    {**sums, "trace": np.array([ensemble.series.trace])}, {"unit": number}
-                )
+                trace = np.array([ensemble.series.trace])
+                gathering.add({**sums, "trace": trace}, {"unit": number})
     with clock.part("waiting"):
         counters.wait()
     if progress is not None:
@@ -256,8 +246,8 @@ def _write(
     swept: dict[str, NDArray[Any]],
     folder: Work,
     gathering: Gathering,
-    count: int,
     sampling: dict[str, Any],
+    count: int,
     begin: float,
 ) -> dict[str, Any]:
     """On rank 0: the sums of all units in their order, into the result file; the summary."""
@@ -300,13 +290,10 @@ def _write(
 
 def arrays_of(found: Found) -> Iterator[tuple[str, NDArray[Any]]]:
     """The datasets of a result, by name."""
+    by_body = ("moments", "moments_error", "over_strain", "over_strain_error", "counts")
     for place, name in enumerate(found.quantities):
-        yield f"{name}_moments", found.moments[:, place]
-        yield f"{name}_moments_error", found.moments_error[:, place]
-        yield f"{name}_over_strain", found.over_strain[:, place]
-        yield f"{name}_over_strain_error", found.over_strain_error[:, place]
+        yield from ((f"{name}_{part}", getattr(found, part)[:, place]) for part in by_body)
         yield f"{name}_edges", found.edges[place]
-        yield f"{name}_counts", found.counts[:, place]
         yield f"{name}_in_time", found.mean_in_time[:, place].T
         yield f"{name}_spread_in_time", found.spread_in_time[:, place].T
     yield "time", found.time
@@ -372,11 +359,9 @@ def _text(loaded: LoadedCase, sections: Any) -> str:
 
 def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
     """What was found, how fast, and where it is."""
+    bodies = counted(int(summary["bodies"]), "body", "bodies")
     solved = [
-        (
-            "paths",
-            f"{summary['paths']}, {counted(int(summary['bodies']), 'body', 'bodies')} along each",
-        ),
+        ("paths", f"{summary['paths']}, {bodies} along each"),
         ("trace", f"{summary['trace']:.2g} of the gradients' size was projected out"),
     ]
     sampling = summary["sampling"]

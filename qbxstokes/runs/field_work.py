@@ -200,29 +200,22 @@ class FieldWork:
         tasks: list[Task] = []
         for index in range(len(self.instants)):
             if index == len(self.instants) - 1:
-                tasks += self._checks(index)
+                counts: dict[Kind, int] = {"check": min(self.section.check, FEW)}
+                if self.section.check > FEW and self.plane is not None:
+                    counts["error map"] = len(self._mapped)
+                for kind, count in counts.items():
+                    cut = store.pieces(count, CHECKED_AT_ONCE)
+                    tasks += [Task(kind, index, 0, *ends) for ends in cut]
             if self.section.streamlines is not None:
                 tasks.append(Task("streamlines", index))
             if self.section.surface is not None:
                 tasks += [Task("surface", index, number) for number in range(len(self.surfaces))]
             for number, target in enumerate(self.targets):
                 share = max(SMALLEST_PIECE, -(-target.size // FEWEST_PIECES))
-                tasks += [
-                    Task("points", index, number, begin, end)
-                    for begin, end in store.pieces(target.size, min(PIECE, share))
-                ]
+                cut = store.pieces(target.size, min(PIECE, share))
+                tasks += [Task("points", index, number, *ends) for ends in cut]
         # Lines alone: the slip on the surface is wanted all the same.
         return tasks or [Task("check", len(self.instants) - 1)]
-
-    def _checks(self, index: int) -> list[Task]:
-        def cut(kind: Kind, size: int) -> list[Task]:
-            pieces = store.pieces(size, CHECKED_AT_ONCE)
-            return [Task(kind, index, 0, begin, end) for begin, end in pieces]
-
-        tasks = cut("check", min(self.section.check, FEW))
-        if self.section.check > FEW and self.plane is not None:
-            tasks += cut("error map", len(self._mapped))
-        return tasks
 
     @property
     def _mapped(self) -> NDArray[np.int64]:
@@ -271,7 +264,11 @@ class FieldWork:
             told.add(task.instant)
             with self.clock.part("table"):
                 slip = around.slip
-            self._require(slip)
+            if self.section.method == "table" and not slip <= self.section.tolerance:
+                raise ConvergenceError(
+                    f"the table of the flow misses the body's velocity by {slip:.1e}, more than "
+                    f"field.tolerance {self.section.tolerance:g}; use method: auto, or more n_theta"
+                )
             found.slip = slip
             found.solves[task.instant] = self.solution.last_solve()
         with self.clock.part(_PARTS[task.kind]):
@@ -280,7 +277,8 @@ class FieldWork:
             if task.kind == "surface":
                 assert self.section.surface is not None
                 angles = surface_angles(self.section.surface.shape)
-                return dict(around.surface(*angles, *self._numbered(task.target)))
+                whose = () if isinstance(self.solution, AroundBody) else (task.target,)
+                return dict(around.surface(*angles, *whose))
             if task.kind == "streamlines":
                 instant = self.instants[task.instant]
                 return {"points": streamlines(around, self.section, instant)}
@@ -312,19 +310,6 @@ class FieldWork:
         found.counts += np.bincount(source + 1, minlength=len(found.counts))
         kept: dict[str, Any] = {name: values[name] for name in section.quantities}
         return kept | {"points": points, "inside": source == INSIDE, "source": source}
-
-    def _numbered(self, body: int) -> tuple[int, ...]:
-        """What tells the body whose surface is meant, where there are several."""
-        return () if isinstance(self.solution, AroundBody) else (body,)
-
-    def _require(self, error: float) -> None:
-        """Refuse a table that misses the tolerance where nothing else may replace it."""
-        section = self.section
-        if section.method == "table" and not error <= section.tolerance:
-            raise ConvergenceError(
-                f"the table of the flow misses the body's velocity by {error:.1e}, more than "
-                f"field.tolerance {section.tolerance:g}; use method: auto, or more n_theta"
-            )
 
     # -- on rank 0 ----------------------------------------------------------------------------
 

@@ -46,16 +46,14 @@ class Stopped(Exception):
 
 
 def timed(spans: list[float], action: Callable[[], Any]) -> Any:
-    """What the action returns; its time in seconds joins the others."""
+    """What the action returns; its time in seconds joins the others.
+
+    Of several turns the median counts, without the first.
+    """
     begin = time.perf_counter()
     result = action()
     spans.append(time.perf_counter() - begin)
     return result
-
-
-def typical(spans: list[float]) -> float:
-    """The median of the spans of all turns; the first is left out where there are more."""
-    return median(spans[1:] or spans)
 
 
 class Measurer:
@@ -116,7 +114,7 @@ class Measurer:
         found |= {name: float(report[name]) for name in REPORTED}
         return found | {
             "error": _error(loaded, lambda: law.errors(arrays)),
-            "setup_time": typical(spans),
+            "setup_time": median(spans[1:] or spans),
             "nodes": float(report["n_theta"] * report["n_phi"]),
         }
 
@@ -144,7 +142,7 @@ class Measurer:
             raise ConvergenceError(trajectory.refusal or trajectory.failure)
         if not np.isfinite(run.states[:, run.active]).all():
             raise ConvergenceError("the state is not finite")
-        setup = setup or typical(setups)
+        setup = setup or median(setups[1:] or setups)
         if plan.simulation.kind == "table":
             self._known[key] = body, setup
         end, row = trajectory.checkpoint, np.zeros(1, dtype=np.intp)
@@ -154,7 +152,7 @@ class Measurer:
         whole = int(np.searchsorted(times, result.summary["end"][0], "right"))
         alone = {name: array[:whole, 0] for name, array in samples.items()}
         return {
-            "wall_time": typical(motions),
+            "wall_time": median(motions[1:] or motions),
             "setup_time": setup,
             "rejected": float(end.rejections),
             "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),

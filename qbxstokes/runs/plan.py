@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +37,7 @@ class Plan:
     simulation: Simulation
     needs: tuple[str, ...]
     skips: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class FieldPlan(Plan):
-    """The work of a field: how many points besides."""
-
-    points: int
+    points: int = field(default=0, kw_only=True)  # of a field
 
 
 @dataclass(frozen=True)
@@ -80,17 +74,12 @@ class MotionPlan(Plan):
 
 def plan_of(loaded: LoadedCase) -> Plan:
     """The plan of the case's task; raises CaseError for what the schema alone cannot see."""
-    makers: dict[str, Callable[[LoadedCase], Plan]] = {
-        "motion": make_plan,
-        "body": plan_body,
-        "field": plan_field,
-        "rheology": plan_rheology,
-    }
     if loaded.space is None and not loaded.case.output.merge:
         raise loaded.error("output.merge", "only a sweep has parts to show", "leave it out")
     if loaded.case.coupled:
         return plan_coupled(loaded)
-    return makers[loaded.case.task](loaded)
+    makers = {"body": plan_body, "field": plan_field, "rheology": plan_rheology}
+    return makers.get(loaded.case.task, make_plan)(loaded)
 
 
 def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
@@ -239,13 +228,14 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
         points, parts = _points(targets_of(loaded, case.field))
         whose = "on the bodies" if case.bodies else "on the body"
         needs += parts + ([f"traction {whose}"] if case.field.surface is not None else [])
-        return FieldPlan(scene, tuple(needs), skips, points)
+        return Plan(scene, tuple(needs), skips, points=points)
     needs.append("a solve for each right-hand side and each sample")
     assert case.time is not None
     times = np.linspace(0.0, end_of(loaded), case.time.samples or _COUPLED_SAMPLES)
     if case.time.at is not None:
         times = np.array(case.time.at)
-    quantities = tuple(n for n in MOTION if n != "orbit_constant" or _sheared(scene))
+    sheared = scene.flow is not None and scene.frame.simple
+    quantities = tuple(n for n in MOTION if n != "orbit_constant" or sheared)
     if case.output.fields is not None:
         quantities = tuple(dict.fromkeys(case.output.fields))
         for index, name in enumerate(quantities):
@@ -253,10 +243,6 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
                 wrong, right = f"{name} is not there for several bodies or a wall", "stresslet"
                 raise loaded.error(("output", "fields", index), wrong, right)
     return CoupledPlan(scene, tuple(needs), skips, times, quantities)
-
-
-def _sheared(scene: CoupledSimulation) -> bool:
-    return scene.flow is not None and scene.frame.simple
 
 
 def plan_rheology(loaded: LoadedCase) -> Plan:
@@ -284,7 +270,7 @@ def _points(targets: Sequence[Targets]) -> tuple[int, list[str]]:
     return points, [f"fields at {points} points ({parts})"] if points else []
 
 
-def plan_field(loaded: LoadedCase) -> FieldPlan:
+def plan_field(loaded: LoadedCase) -> Plan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
     assert case.field is not None  # the schema requires it for this task
@@ -297,9 +283,8 @@ def plan_field(loaded: LoadedCase) -> FieldPlan:
         needs.append("traction on the body")
     if case.field.streamlines is not None:
         needs.append("streamlines")
-    skips = []
-    if "stress" not in case.field.quantities and case.field.surface is None:
-        skips.append("stress: not asked for")
+    unasked = "stress" not in case.field.quantities and case.field.surface is None
+    skips = ("stress: not asked for",) if unasked else ()
     if case.field.tracers is not None:
         needs.append("paths of tracers around a body that stays in this state")
-    return FieldPlan(start, tuple(needs), tuple(skips), points)
+    return Plan(start, tuple(needs), skips, points=points)

@@ -8,7 +8,7 @@ from typing import Any
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
-from qbxstokes.runs.plan import CoupledPlan, FieldPlan, MotionPlan, Plan
+from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -117,8 +117,8 @@ def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
         "skips": list(plan.skips),
         "output": str(target),
     }
-    if isinstance(plan, FieldPlan):
-        facts |= {"points": plan.points}
+    if plan.points:
+        facts["points"] = plan.points
     if isinstance(plan, MotionPlan):
         facts |= {
             "end": float(plan.times[-1]),

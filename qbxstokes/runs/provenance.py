@@ -39,11 +39,7 @@ def start_petsc(
 
 
 def _provenance(
-    loaded: LoadedCase,
-    PETSc: Any,
-    ranks: int,
-    petsc: Sequence[str],
-    revision: Callable[[], str],
+    loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str], revision: Callable[[], str]
 ) -> dict[str, Any]:
     return {
         "title": loaded.case.title,

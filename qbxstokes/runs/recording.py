@@ -19,7 +19,7 @@ from qbxstokes.io.names import told_by
 from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.quantities import MOTION, STRESS, TIME, Quantity
+from qbxstokes.quantities import MOTION, STRESS, TIME
 from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.simulation.compare import orbit_drift
@@ -54,6 +54,9 @@ class Recording:
         overwrite: bool,
     ) -> None:
         self._plan = plan
+        # What is recorded: all that every motion has, and the stresses that are stored.
+        self._names = (*MOTION, *(name for name in plan.quantities if name in STRESS))
+        self._columns = {"time": TIME, **{name: plan.about(name) for name in self._names}}
         self._interval = loaded.case.checkpoint.interval
         if self._interval.unit == "periods" and plan.period is None:
             raise loaded.error(
@@ -81,10 +84,9 @@ class Recording:
         self.work = open_work(asked, self.identity, resume=resume, overwrite=overwrite)
         if self.work.resumed:
             self._reopen()
-        self._saved = (time.monotonic(), 0, 0.0)
-        if self.start is not None:
-            self._saved = (time.monotonic(), self.start.steps, self.start.time)
-        self.saved = self.start is not None
+        start = self.start
+        self._saved = (time.monotonic(), start.steps if start else 0, start.time if start else 0.0)
+        self.saved = start is not None
 
     def _reopen(self) -> None:
         """Go on from the checkpoint in the last part."""
@@ -99,20 +101,9 @@ class Recording:
             self._events, self._run = note["events"], note["run"]
         except (DamagedPart, OSError, KeyError, TypeError) as error:
             self.work.close()
-            raise CaseError(
-                f"{self.work.folder}: no checkpoint to go on from ({error}); begin anew with "
-                "--overwrite"
-            ) from None
+            wrong = f"no checkpoint to go on from ({error}); begin anew with --overwrite"
+            raise CaseError(f"{self.work.folder}: {wrong}") from None
         self.resumed_at, self._safe = self.start.time, reached
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        """What is recorded: all that every motion has, and the stresses that are stored."""
-        return (*MOTION, *(name for name in self._plan.quantities if name in STRESS))
-
-    @property
-    def _columns(self) -> dict[str, Quantity]:
-        return {"time": TIME, **{name: self._plan.about(name) for name in self._names}}
 
     @property
     def target(self) -> Path:
@@ -191,10 +182,8 @@ class Recording:
             try:
                 arrays, _ = read_part(path)
             except (DamagedPart, OSError) as error:
-                raise CaseError(
-                    f"{self.work.folder}: a part cannot be read ({error}); begin anew with "
-                    "--overwrite"
-                ) from None
+                wrong = f"a part cannot be read ({error}); begin anew with --overwrite"
+                raise CaseError(f"{self.work.folder}: {wrong}") from None
             yield from arrays.items()
         yield from self._waiting
 

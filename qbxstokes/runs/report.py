@@ -118,20 +118,14 @@ def flow_text(loaded: LoadedCase) -> str:
     assert loaded.case.flow is not None
     given = loaded.case.flow.spec()
     name = given.pop("type")
-    defaults = {key: value for key, value in REGISTRY[name].keys().items() if _stated(value)}
-    parts = [name, *(f"{key} {_short(value)}" for key, value in {**defaults, **given}.items())]
+    said = {key: value for key, value in REGISTRY[name].keys().items() if value is not None}
+    said = {k: value for k, value in said.items() if value is not inspect.Parameter.empty} | given
+    texts = ((key, _text(value)) for key, value in said.items())
+    parts = [f"{key} {text if len(text) <= 48 else text[:45] + '...'}" for key, text in texts]
     degree = loaded.flow.degree
-    return ", ".join(parts) + ("" if degree is None else f"; polynomial of degree {degree}")
-
-
-def _stated(default: Any) -> bool:
-    """Whether a key has a default that says something."""
-    return default is not None and default is not inspect.Parameter.empty
-
-
-def _short(value: Any) -> str:
-    text = _text(value)
-    return text if len(text) <= 48 else text[:45] + "..."
+    return ", ".join([name, *parts]) + (
+        "" if degree is None else f"; polynomial of degree {degree}"
+    )
 
 
 def _text(value: Any) -> str:

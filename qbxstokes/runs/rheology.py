@@ -231,7 +231,4 @@ def _cycle(found: Rheology | BrownianAverages) -> dict[str, Array]:
     cycle = found.summary["frequency"]
     if cycle is None or found.time is None:
         return {}
-    return {
-        "strain": np.sin(cycle * found.time) / cycle,
-        "strain_rate": np.cos(cycle * found.time),
-    }
+    return {"strain": np.sin(cycle * found.time) / cycle, "strain_rate": np.cos(cycle * found.time)}

@@ -7,14 +7,13 @@ wait for its orders without occupying their cores.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
 
-from qbxstokes.geometry.shape import Revolution
 from qbxstokes.petsc.launch import finish_asleep
-from qbxstokes.qbx.operator import Scheme, layer_rows
+from qbxstokes.qbx.operator import layer_rows
 
 T = TypeVar("T")
 
@@ -40,12 +39,7 @@ class RowTeam:
         self._serving = comm.size > 1
 
     def __call__(
-        self,
-        shape: Revolution,
-        scheme: Scheme,
-        n_modes: int,
-        rows: Sequence[int],
-        with_single: bool = False,
+        self, shape: Any, scheme: Any, n_modes: int, rows: Any, with_single: bool = False
     ) -> tuple[Any, Any]:
         """Rows as `layer_rows` gives them, formed by all ranks; for rank 0."""
         order = (shape, scheme, n_modes, list(rows), with_single)
@@ -92,8 +86,8 @@ def ordered(comm: Any, order: Any = None, pause: float = 2e-3) -> Any:
 
 def _share(order: Any, rank: int, size: int) -> tuple[Any, Any]:
     """A rank's share of an order: every `size`-th row, so that dear rows are dealt out evenly."""
-    shape, scheme, n_modes, rows, with_single = order
-    return layer_rows(shape, scheme, n_modes, rows[rank::size], with_single)
+    shape, scheme, n_modes, rows, *single = order
+    return layer_rows(shape, scheme, n_modes, rows[rank::size], *single)
 
 
 def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
@@ -105,16 +99,8 @@ def _put_together(parts: list[tuple[Any, Any]]) -> tuple[Any, Any]:
     return double, single
 
 
-def rows_by_all(
-    comm: Any,
-    shape: Revolution,
-    scheme: Scheme,
-    n_modes: int,
-    rows: Sequence[int],
-    with_single: bool = False,
-) -> tuple[Any, Any]:
+def rows_by_all(comm: Any, *order: Any) -> tuple[Any, Any]:
     """Rows as `layer_rows` gives them, formed by all ranks and known to all; called by all."""
-    order = (shape, scheme, n_modes, list(rows), with_single)
     share = _share(order, comm.rank, comm.size)
     return share if comm.size == 1 else _put_together(comm.allgather(share))
 

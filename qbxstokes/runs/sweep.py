@@ -135,10 +135,7 @@ def _computed(
         progress.close(todo.done + counters.read(HandOut.DONE), failed)
     counters.wait()
     counters.close()
-    about = {
-        "identity": json.dumps(plan.identity),
-        "shape": list(scenes.space.shape),
-    }
+    about = {"identity": json.dumps(plan.identity), "shape": list(scenes.space.shape)}
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
         if not todo.merges:

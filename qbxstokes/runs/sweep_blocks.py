@@ -322,16 +322,12 @@ class Scenes:
 
     def _makes_scene(self, column: Column) -> bool:
         """Whether trajectories with different values cannot be integrated together."""
-        if column.key[: len(_POSITION)] == _POSITION:
-            return self._time.periods is not None and not self._uniform_gradient
-        return column.key[0] != "start"
-
-    @cached_property
-    def _uniform_gradient(self) -> bool:
-        """Whether Jeffery's period is the same everywhere in the flow."""
+        if column.key[: len(_POSITION)] != _POSITION:
+            return column.key[0] != "start"
+        # Jeffery's period is the same everywhere in a flow of a uniform gradient.
         degree = self.loaded.flow.degree
         words = any(c.key[0] == "flow" and not c.numeric for _, c in self.space.columns)
-        return degree is not None and degree <= 1 and not words
+        return self._time.periods is not None and (degree is None or degree > 1 or words)
 
     # -- which scenes may share a block -------------------------------------------------------
 
@@ -344,9 +340,7 @@ class Scenes:
         return self._alike(self._makes_scene, self._company_labels)
 
     def _alike(
-        self,
-        counts: Callable[[Column], bool],
-        labels: Callable[[Column, Indices], list[str]],
+        self, counts: Callable[[Column], bool], labels: Callable[[Column, Indices], list[str]]
     ) -> Indices:
         """Of every scene a number, the same where the labels of all columns that count are."""
         per_axis = []

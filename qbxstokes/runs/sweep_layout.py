@@ -153,13 +153,8 @@ def scales_of(scenes: Swept, layout: Layout) -> Iterator[tuple[int, dict[str, Ar
     for first in range(0, layout.size, _COORDINATE_PIECE):
         index = np.arange(first, min(first + _COORDINATE_PIECE, layout.size))
         columns = coordinates_of(scenes, index)
-        yield (
-            first,
-            {
-                "trajectory": index,
-                **{name: values.astype(layout.dtype[name]) for name, values in columns.items()},
-            },
-        )
+        typed = {name: values.astype(layout.dtype[name]) for name, values in columns.items()}
+        yield first, {"trajectory": index, **typed}
     if layout.quantities and layout.times is not None:
         yield 0, {"time": layout.times}
     elif layout.quantities:

@@ -38,7 +38,7 @@ def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ra
     """What will run, how many, memory, disk and time."""
     seconds = (
         f"about {duration(estimate.seconds(ranks))} on {counted(ranks, 'rank')} "
-        f"({duration(estimate.work)} of work; a factor of 2 either way), and "
+        f"({duration(estimate.seconds(1))} of work; a factor of 2 either way), and "
         f"{duration(START_SECONDS)} to start"
     )
     more = ", and as much again while it runs"

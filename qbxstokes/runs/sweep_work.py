@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.errors import QbxStokesError
-from qbxstokes.io.cache import SharedCache, open_cache
+from qbxstokes.io.cache import Cache, open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.runs import block
@@ -93,7 +93,7 @@ def todo_of(scenes: Swept, work: Work, base: Todo | None) -> Todo:
 class Models:
     """The bodies of the sweep: what their operators give, and which could not be formed."""
 
-    cache: SharedCache
+    cache: Cache
     errors: dict[int, QbxStokesError]
 
 
@@ -109,13 +109,13 @@ def form_models(
     from qbxstokes.petsc import session
 
     if not isinstance(scenes, Scenes) or scenes.alone:
-        return Models(SharedCache(None), {})
+        return Models(Cache(None), {})
     bodies, representatives = scenes.bodies
     needed = sorted({int(bodies[s]) for number in todo.numbers for s in scenes.scenes_of(number)})
     # Options of the solver want to be seen at work.
     no_cache = no_cache or bool(session.solver_options(session.start()))
     named = scenes.loaded.case.hydrodynamics.cache
-    models = Models(SharedCache(open_cache(named, no_cache).folder), {})
+    models = Models(Cache(open_cache(named, no_cache).folder, shared=True), {})
     workshop = Workshop(cache=models.cache)
     told = time.monotonic()
     while (place := counters.next(HandOut.MODELS)) < len(needed):
@@ -135,7 +135,7 @@ def form_models(
     counters.wait()
     cache = models.cache
     for entries, errors, problems in comm.allgather((cache.entries, models.errors, cache.problems)):
-        cache.receive(entries)
+        cache.entries |= entries
         models.errors.update(errors)
         if comm.rank == 0:
             for problem in problems:
@@ -165,12 +165,7 @@ class Team:
 
 
 def work_on_blocks(
-    team: Team,
-    scenes: Swept,
-    layout: Layout,
-    models: Models,
-    gathering: Gathering,
-    clock: Clock,
+    team: Team, scenes: Swept, layout: Layout, models: Models, gathering: Gathering, clock: Clock
 ) -> None:
     """Compute blocks until none is left; raises Interrupted after what there is was made safe."""
     order, cost = _order(scenes, team.todo, gathering.work)
