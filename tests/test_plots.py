@@ -28,11 +28,9 @@ from qbxstokes.plots import motion, style, sweep
 from qbxstokes.plots.animation import Frames, animate
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.columns import Columns, figure_of
-from qbxstokes.plots.dense_samples import axis_path, between
 from qbxstokes.plots.orbit import drifts
-from qbxstokes.plots.path import draw_path
-from qbxstokes.plots.picture_source import sampling
-from qbxstokes.plots.series import alike
+from qbxstokes.plots.picture_source import axis_path, between, sampling
+from qbxstokes.plots.series import alike, draw_path
 from qbxstokes.reference import jeffery
 from qbxstokes.simulation.from_case import samples_of, times_of
 

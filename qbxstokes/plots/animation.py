@@ -10,29 +10,32 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from subprocess import CalledProcessError
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.geometry.shape import Revolution
 from qbxstokes.plots import style
-from qbxstokes.plots.bodies import coupled, wall_of
-from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.dense_samples import axis_path, between
-from qbxstokes.plots.path import draw_path, plane_of_motion
-from qbxstokes.plots.picture_source import ResultLike, instants, samples, shape_of, vectors
-from qbxstokes.plots.series import moves
-from qbxstokes.plots.surfaces import SHADES, colours, lit, mesh
-from qbxstokes.plots.together import SceneView, one_of
+from qbxstokes.plots.bodies import coupled, outlines, wall_of
+from qbxstokes.plots.camera import Camera
+from qbxstokes.plots.picture_source import (
+    ResultLike,
+    axis_path,
+    between,
+    instants,
+    samples,
+    shape_of,
+    vectors,
+)
+from qbxstokes.plots.series import draw_path, moves, plane_of_motion
+from qbxstokes.plots.style import Figure
+from qbxstokes.plots.views import SHADES, AxisView, GroupView, lit
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 FORMATS = ("gif", "mp4")
 FRAMES_PER_TURN = 48
@@ -111,115 +114,6 @@ def _palette() -> list[int]:
     faded = [fade + (1.0 - fade) * np.array(to_rgb(color)) for color in lines]
     colors = np.concatenate([*surface, *faded])
     return np.rint(255.0 * colors).astype(int).ravel().tolist()
-
-
-class View:
-    """The body seen from the moving camera; `show` puts it at a frame."""
-
-    def __init__(self, axes: Axes, motion: Frames, shape: Revolution, camera: Camera) -> None:
-        """Draw everything once, at the first frame."""
-        from matplotlib.collections import PolyCollection
-
-        self._axes, self._motion, self._camera = axes, motion, camera
-        self._size = shape.radius
-        self._mesh = mesh(shape)
-        self._reach = 1.35 * self._size
-        limit = 1.12 * self._reach
-        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
-        axes.set_axis_off()
-        body: Any = PolyCollection([], zorder=3, linewidths=0.7, closed=True)
-        axes.add_collection(body, autolim=False)
-        self._body = body
-        self._way = axes.plot([], [], color=style.GREY, lw=0.9, zorder=0.8)[0]
-        self._trails = [
-            axes.plot([], [], color=color, lw=width, zorder=zorder, solid_capstyle="butt")[0]
-            for color, width, zorder in (
-                ("#c9c9c9", 0.7, 1.0),  # behind, older
-                (style.PALE_BLUE, 1.1, 1.1),  # behind, latest turn
-                ("#c9c9c9", 0.7, 4.0),
-                (style.BLUE, 1.6, 4.1),
-            )
-        ]
-        self._pins = [axes.plot([], [], color=style.BLACK, lw=1.6)[0] for _ in range(2)]
-        self._tip = axes.plot([], [], "o", ms=4, color=style.VERMILION)[0]
-        self._clock = axes.text(
-            0.02, 0.98, "", transform=axes.transAxes, ha="left", va="top", zorder=6
-        )
-        self._draw_triad()
-        self.show(0)
-
-    def show(self, frame: int) -> None:
-        """The scene at a frame."""
-        motion, camera = self._motion, self._camera
-        now, turn = motion.times[frame], rotation.matrix(motion.orientation[frame])
-        self._show_body(turn)
-        axis = turn[:, 2]
-        ahead = camera.depth(axis) >= 0.0
-        for pin, sign in zip(self._pins, (1.0, -1.0), strict=True):
-            pin.set_data(*camera.project(np.outer([sign, sign * self._reach], axis)).T)
-            pin.set_zorder(3.5 if ahead == (sign > 0.0) else 2.0)
-        self._tip.set_data(*camera.project(self._reach * axis[None]).T)
-        self._tip.set_zorder(4.5 if ahead else 2.1)
-        self._show_trail(now, axis)
-        past = motion.position[: frame + 1] - motion.position[frame]
-        near = np.flatnonzero(np.linalg.norm(past, axis=1) > 4.0 * self._reach)
-        self._way.set_data(*camera.project(past[near[-1] if near.size else 0 :]).T)
-        self._clock.set_text(rf"$t = {now:.2f}\,\tau$")
-
-    def _show_body(self, turn: Array) -> None:
-        facets, normals, shade = self._mesh
-        seen = normals @ turn.T @ self._camera.frame.T
-        front = seen[:, 2] > -0.05
-        colors = colours(shade[front], seen[front])
-        # From the back to the front, so that facets at the rim do not cover nearer ones.
-        order = np.argsort(seen[front, 2], kind="stable")
-        self._body.set_verts(list(self._camera.project(facets[front][order] @ turn.T)))
-        self._body.set_facecolor(colors[order])
-        self._body.set_edgecolor(colors[order])
-
-    def _show_trail(self, now: float, axis: Array) -> None:
-        """The path of the tip so far; the last turn stronger than what was before."""
-        motion = self._motion
-        shown = (motion.axis_times >= motion.times[0]) & (motion.axis_times < now)
-        path = np.concatenate([motion.axis[shown], axis[None]])
-        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        back = np.cumsum(steps[::-1])[::-1]
-        latest = int(np.searchsorted(-back, -2.0 * np.pi))
-        pieces = (path[: latest + 1], path[latest:])
-        for index, piece in enumerate(pieces):
-            front, behind = split_at_silhouette(
-                self._reach * piece, self._camera.depth(self._reach * piece)
-            )
-            self._trails[index].set_data(*self._joined(behind))
-            self._trails[2 + index].set_data(*self._joined(front))
-
-    def _joined(self, pieces: list[Array]) -> Array:
-        """Projected pieces as one line with gaps (2, n)."""
-        gap = np.full((1, 2), np.nan)
-        parts = [part for piece in pieces for part in (self._camera.project(piece), gap)]
-        return np.concatenate(parts).T if parts else np.empty((2, 0))
-
-    def _draw_triad(self) -> None:
-        """The directions of space in the lower left corner."""
-        low = self._axes.get_xlim()[0]
-        x, y = 0.78 * low, 0.80 * low
-        for index, direction in enumerate(np.eye(3)):
-            dx, dy = 0.16 * abs(low) * self._camera.project(direction)
-            self._axes.annotate(
-                "",
-                xy=(x + dx, y + dy),
-                xytext=(x, y),
-                arrowprops={"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
-                zorder=0.5,
-            )
-            self._axes.text(
-                x + 1.35 * dx,
-                y + 1.35 * dy,
-                f"$x_{index + 1}$",
-                ha="center",
-                va="center",
-                fontsize=8,
-            )
 
 
 @dataclass(frozen=True)
@@ -306,9 +200,8 @@ def animate(
     width = 2.0 * _SIDE if beside else _SIDE
     with style.styled():
         figure = _blank(width)
-        scene = View(
-            figure.add_axes((0.0, 0.0, _SIDE / width, 1.0)), motion, shape_of(result), camera
-        )
+        axes = figure.add_axes((0.0, 0.0, _SIDE / width, 1.0))
+        scene = AxisView(axes, motion, shape_of(result), camera)
         place = _place_beside(figure, result, motion) if beside else None
 
     def show(frame: int) -> None:
@@ -330,7 +223,7 @@ def _animate_together(
     if "position" not in result.arrays or "orientation" not in result.arrays:
         raise CaseError(f"{result.path}: holds no position and orientation to animate")
     count = result.arrays["position"].shape[1] if result.arrays["position"].ndim == 3 else 1
-    alone = [one_of(result, body) for body in range(count)]
+    alone = [_one_of(result, body) for body in range(count)]
     if frames is None:
         frames = max(len(Frames.of(one, None, window).times) for one in alone)
     motions = [Frames.of(one, frames, window) for one in alone]
@@ -340,8 +233,17 @@ def _animate_together(
     with style.styled():
         figure = _blank(_SIDE)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        scene = SceneView(axes, result, motions, camera)
+        scene = GroupView(axes, outlines(result, count), motions, camera, wall)
     return Film(figure, scene.show, frames, fps)
+
+
+def _one_of(result: ResultLike, body: int) -> Any:
+    """The motion of one of several bodies, as a result of it alone."""
+    arrays = dict(result.arrays)
+    for name in ("position", "orientation", "velocity", "angular_velocity", "axis"):
+        if name in arrays and arrays[name].ndim == 3:
+            arrays[name] = arrays[name][:, body]
+    return SimpleNamespace(**{**vars(result), "arrays": arrays, "path": result.path})
 
 
 def _blank(width: float) -> Figure:

@@ -5,25 +5,19 @@ Arrays are (T, N, ...), of a single body (T, ...).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 from qbxstokes.plots import style
-from qbxstokes.plots.path import plane_of_motion
 from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, units
-from qbxstokes.plots.series import draw_lines
+from qbxstokes.plots.series import draw_lines, label_plane, plane_of_motion
+from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import MOTION
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _NOISE = 1e-10  # of the largest component: nothing but rounding
 _MANY = 7  # bodies that are told apart by name
@@ -41,9 +35,9 @@ def coupled(result: ResultLike) -> bool:
     return bool(case.get("bodies")) or around.get("type") == "wall"
 
 
-def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+def drawings(result: ResultLike) -> Drawings:
     """Kind and drawing of each picture; of a single body its paths alone."""
-    found: dict[str, Callable[[], Figure]] = {}
+    found: Drawings = {}
     if {"position", "axis"} <= set(result.arrays):
         found["scene"] = partial(scene_figure, result)
     if result.arrays["position"].ndim == 3:
@@ -138,9 +132,7 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
     room = 0.03 * np.max(high - low)
     axes.set_xlim(low[0] - room, high[0] + room)
     axes.set_ylim(low[1] - room, high[1] + room)
-    parts = MOTION["position"].symbols
-    axes.set_xlabel(style.label(f"${parts[along]}$", units(result, "position")))
-    axes.set_ylabel(style.label(f"${parts[across]}$", units(result, "position")))
+    label_plane(axes, result, along, across)
     axes.set_aspect("equal", adjustable="box")
     if len(bodies) > 1:
         style.legend_above(axes)

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,8 @@ from numpy.typing import NDArray
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
 from qbxstokes.plots.scales import SCALES, colours_of, edges, is_log, power, set_scales, shades
+from qbxstokes.plots.style import Axes, Figure
 from qbxstokes.quantities import Quantity, column
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[Any]
 Rows = NDArray[np.intp]
@@ -110,12 +107,9 @@ def figure_of(columns: Columns, spec: Mapping[str, Any]) -> Figure:
             by = ", ".join(spec["by"])
             raise CaseError(f"{columns.name}: {len(parts)} maps by {by}; at most {_PANELS} fit")
     across = min(len(parts), 3)
-    down = -(-len(parts) // across)
-    wide = style.COLUMN if across == 1 else style.PAGE
-    figure = style.new_figure(wide, down * (2.7 if across < 3 else 2.3))
-    drawn = []
-    for index, part in enumerate(parts):
-        axes = figure.add_subplot(down, across, index + 1)
+    width, height = style.COLUMN if across == 1 else style.PAGE, 2.7 if across < 3 else 2.3
+    figure, panels = style.panels(len(parts), 3, width, lambda rows: rows * height)
+    for axes, part in zip(panels, parts, strict=True):
         if "value" in spec:
             _draw_map(axes, columns, spec, part.rows)
         elif columns.words(spec["x"]):
@@ -124,8 +118,7 @@ def figure_of(columns: Columns, spec: Mapping[str, Any]) -> Figure:
             _draw_curves(axes, columns, spec)
         if part.label:
             axes.set_title(part.label, loc="left")
-        drawn.append(axes)
-    style.letter_panels(drawn)
+    style.letter_panels(panels)
     return figure
 
 

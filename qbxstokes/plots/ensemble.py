@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
 from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import ENSEMBLE, LOOKED_AT, column
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
-KINDS = {
-    "distributions": "densities of rates and alignments along paths",
-    "means": "means over paths in time, with twice their standard errors",
-    "correlation": "correlation of the axis with itself",
-}
 _DRAWN = 50  # bins at least, where there are as many
 
 
-def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+def drawings(result: ResultLike) -> Drawings:
     """Kind and drawing of each picture that an ensemble calls for."""
     if result.task != "ensemble":
         return {}
     return {
-        "distributions": lambda: distributions_figure(result),
-        "means": lambda: means_figure(result),
-        "correlation": lambda: correlation_figure(result),
+        "distributions": partial(distributions_figure, result),
+        "means": partial(means_figure, result),
+        "correlation": partial(correlation_figure, result),
     }
-
-
-def _quantities(result: ResultLike) -> list[str]:
-    return [name for name in LOOKED_AT if f"{name}_counts" in result.arrays]
 
 
 def _bodies(result: ResultLike) -> list[str]:
@@ -53,20 +39,23 @@ def _bodies(result: ResultLike) -> list[str]:
     ]
 
 
-def _panels(result: ResultLike, columns: int) -> tuple[Figure, list[str], list[Axes]]:
-    names = _quantities(result)
-    rows = -(-len(names) // columns)
-    figure = style.new_figure(style.PAGE, 0.5 + 2.0 * rows)
-    panels: list[Axes] = list(np.ravel(np.atleast_1d(figure.subplots(rows, columns))))
-    for axes in panels[len(names) :]:
-        axes.set_visible(False)
-    return figure, names, panels[: len(names)]
+def _panels(result: ResultLike) -> tuple[Figure, dict[str, Axes]]:
+    """A panel for each quantity."""
+    names = [name for name in LOOKED_AT if f"{name}_counts" in result.arrays]
+    figure, drawn = style.panels(len(names), 3, style.PAGE, lambda rows: 0.5 + 2.0 * rows)
+    return figure, dict(zip(names, drawn, strict=True))
+
+
+def _finished(figure: Figure, panels: list[Axes]) -> Figure:
+    style.legend_on_top(figure, panels)
+    style.letter_panels(panels)
+    return figure
 
 
 def distributions_figure(result: ResultLike) -> Figure:
     """The density of each quantity: of rates squared over their mean, in logarithmic axes."""
-    figure, names, panels = _panels(result, 3)
-    for name, axes in zip(names, panels, strict=True):
+    figure, panels = _panels(result)
+    for name, axes in panels.items():
         counts, edges = result.arrays[f"{name}_counts"], result.arrays[f"{name}_edges"]
         width = max(1, (len(edges) - 1) // _DRAWN)  # bins that are drawn as one
         starts = np.arange(0, len(edges) - 1, width)
@@ -85,17 +74,15 @@ def distributions_figure(result: ResultLike) -> Figure:
             axes.set_yscale("log")
             symbol = rf"{symbol}/\langle {symbol}\rangle"
         axes.set_xlabel(f"${symbol}$")
-    style.set_ylabel(panels[0], "density")
-    style.legend_on_top(figure, panels)
-    style.letter_panels(panels)
-    return figure
+    style.set_ylabel(next(iter(panels.values())), "density")
+    return _finished(figure, list(panels.values()))
 
 
 def means_figure(result: ResultLike) -> Figure:
     """Means over paths against time, within twice their standard errors."""
-    figure, names, panels = _panels(result, 3)
+    figure, panels = _panels(result)
     times, paths = result.arrays["time"], int(result.summary["paths"])
-    for name, axes in zip(names, panels, strict=True):
+    for name, axes in panels.items():
         means, spread = result.arrays[f"{name}_in_time"], result.arrays[f"{name}_spread_in_time"]
         error = 2.0 * spread / np.sqrt(max(paths, 1))
         for index, text in enumerate(_bodies(result)):
@@ -105,9 +92,7 @@ def means_figure(result: ResultLike) -> Figure:
             axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
         axes.set_xlabel(f"time ${ENSEMBLE['time'].symbol}$")
         style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$")
-    style.legend_on_top(figure, panels)
-    style.letter_panels(panels)
-    return figure
+    return _finished(figure, list(panels.values()))
 
 
 def correlation_figure(result: ResultLike) -> Figure:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +13,9 @@ from qbxstokes.plots import style
 from qbxstokes.plots.bodies import draw_wall
 from qbxstokes.plots.instant import directions, members_of, name_of, state, surfaces_of
 from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.plots.traction import traction_figure
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _LEAST_ERROR = 1e-17  # what an error of zero is drawn as
 _SHEET = 9  # panels of a sheet of instants at most
@@ -29,13 +25,13 @@ _SPEED = (
 )
 
 
-def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+def drawings(result: ResultLike) -> Drawings:
     """Kind and drawing of each picture of the result's group `field`, at its last instant.
 
     Where it has several, `instants` shows the flow at up to nine of them.
     """
     field = result.groups.get("field", {})
-    found: dict[str, Callable[[], Figure]] = {}
+    found: Drawings = {}
     if "velocity" in field.get("plane", {}):
         alone = len(members_of(result, -1)) == 1
         if alone:
@@ -82,28 +78,24 @@ def instants_figure(result: ResultLike) -> Figure:
     count = len(field["time"])
     steps = np.unique(np.linspace(0, count - 1, min(count, _SHEET)).round().astype(int))
     columns = min(len(steps), 2 if len(steps) == 4 else 3)
-    rows = -(-len(steps) // columns)
     plane = field["plane"]
     a, b = plane["first_coordinate"], plane["second_coordinate"]
     height = 0.8 * style.PAGE / columns * (b[-1] - b[0]) / (a[-1] - a[0]) + 0.65
-    figure = style.new_figure(style.PAGE, min(rows * height, style.TALL))
-    panels = np.ravel(figure.subplots(rows, columns, sharex=True, sharey=True))
+    figure, panels = style.panels(
+        len(steps), columns, style.PAGE, lambda rows: min(rows * height, style.TALL), shared=True
+    )
     flows = [_relative(result, int(step), lab=True) for step in steps]
     norm = Normalize(0.0, max(float(speed.max()) for _, speed in flows) or 1.0)
-    for axes, step, flow in zip(panels, steps, flows, strict=False):
+    for place, (axes, step, flow) in enumerate(zip(panels, steps, flows, strict=True)):
         axes.set_aspect("equal")
         mesh = _velocity(axes, result, int(step), *flow, norm=norm, density=0.7)
         axes.set_title(f"$t = {field['time'][step]:.4g}$", loc="left", pad=4)
-    for axes in panels[len(steps) :]:
-        axes.set_visible(False)
-    for place, axes in enumerate(panels[: len(steps)]):
         if place + columns >= len(steps):
-            axes.tick_params(labelbottom=True)
             axes.set_xlabel(style.label(name_of(plane, "first"), "c"))
         if place % columns == 0:
             axes.set_ylabel(style.label(name_of(plane, "second"), "c"))
-    style.letter_panels(list(panels[: len(steps)]))
-    colours = figure.colorbar(mesh, ax=list(panels), fraction=0.04, pad=0.02)
+    style.letter_panels(panels)
+    colours = figure.colorbar(mesh, ax=panels, fraction=0.04, pad=0.02)
     colours.set_label(_SPEED[True])
     return figure
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from qbxstokes.plots import bodies, style
 from qbxstokes.plots.orbit import draw_orbit, orbit_figure
-from qbxstokes.plots.path import draw_path
 from qbxstokes.plots.picture_source import ResultLike, sampling
-from qbxstokes.plots.series import Panel, moves, panels
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from qbxstokes.plots.series import Panel, draw_path, moves, panels
+from qbxstokes.plots.style import Axes, Drawings, Figure
 
 
 def stacked(drawn: Sequence[Panel]) -> Figure:
@@ -92,13 +88,13 @@ KINDS: dict[str, str] = {
 }
 
 
-def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+def drawings(result: ResultLike) -> Drawings:
     """Kind and drawing of each picture that this result calls for.
 
     A picture is left out where its quantity is not in the file or does nothing: the path of a
     centre at rest, the force on a massless body.
     """
-    found: dict[str, Callable[[], Figure]] = bodies.drawings(result) if _coupled(result) else {}
+    found: Drawings = bodies.drawings(result) if _coupled(result) else {}
     if "position" in result.arrays and result.arrays["position"].ndim == 3:
         return found
     if "axis" in result.arrays:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.plots import style
 from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.dense_samples import axis_path
-from qbxstokes.plots.picture_source import ResultLike, instants, samples, vectors
+from qbxstokes.plots.picture_source import ResultLike, axis_path, instants, samples, vectors
+from qbxstokes.plots.style import Axes, Figure
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _REACH = 1.32  # how far the coordinate axes stick out of the sphere
 _CLOSED = 0.05  # an orbit that keeps within this of itself is drawn in one colour
@@ -79,7 +74,7 @@ def _farthest(some: Array, others: Array) -> float:
         piece = others[begin : begin + _PIECE]
         apart = 2.0 - 2.0 * (tried @ piece.T)  # squared, on the unit sphere
         nearest = np.minimum(nearest, apart.min(axis=1))
-    return float(np.sqrt(nearest.max()))
+    return float(np.sqrt(max(0.0, nearest.max())))
 
 
 def draw_sphere(axes: Axes, camera: Camera) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +12,13 @@ from qbxstokes.errors import CaseError
 from qbxstokes.plots import ensemble, field, motion, rheology, style, sweep
 from qbxstokes.plots.picture_source import ResultLike, is_motion
 from qbxstokes.plots.series import draw_quantity, panels
+from qbxstokes.plots.style import Drawings
 from qbxstokes.quantities import RECORDABLE
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def kinds(
     result: ResultLike, wanted: Sequence[str] = (), roles: Mapping[str, Any] | None = None
-) -> dict[str, Callable[[], Figure]]:
+) -> Drawings:
     """Kind and drawing of each picture of a result, or of those wanted.
 
     A motion has those of its quantities as well, by their names. roles: x, y, by, value and scale
@@ -30,7 +28,7 @@ def kinds(
         return sweep.drawings(result, wanted, roles)  # type: ignore[arg-type]
     if roles:
         raise CaseError(f"{result.path}: is not a sweep, so it has no table whose columns to draw")
-    found: dict[str, Callable[[], Figure]] = motion.drawings(result) if is_motion(result) else {}
+    found: Drawings = motion.drawings(result) if is_motion(result) else {}
     found |= field.drawings(result) | rheology.drawings(result) | ensemble.drawings(result)
     for kind in wanted:
         if kind in result.arrays and kind in RECORDABLE and is_motion(result):

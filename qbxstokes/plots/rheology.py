@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.sphere import draw_frame
+from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _FUNCTIONS = (
     "intrinsic_viscosity",
@@ -24,24 +21,17 @@ _FUNCTIONS = (
     "second_normal_stress_difference",
 )
 _MOST_MAPS = 9
-KINDS = {
-    "material-functions": "intrinsic viscosity and normal stress differences",
-    "lissajous": "stress of an oscillation over strain and strain rate",
-    "distribution": "densities of orientations, as maps on the sphere",
-}
 
 
-def drawings(result: ResultLike) -> dict[str, Callable[[], Figure]]:
+def drawings(result: ResultLike) -> Drawings:
     """Kind and drawing of each picture that the result of a suspension calls for."""
     if result.task != "rheology":
         return {}
-    found: dict[str, Callable[[], Figure]] = {
-        "material-functions": lambda: functions_figure(result)
-    }
+    found: Drawings = {"material-functions": partial(functions_figure, result)}
     if "strain" in result.arrays:
-        found["lissajous"] = lambda: lissajous_figure(result)
+        found["lissajous"] = partial(lissajous_figure, result)
     if "distribution" in result.arrays:
-        found["distribution"] = lambda: maps_figure(result)
+        found["distribution"] = partial(maps_figure, result)
     return found
 
 
@@ -115,38 +105,25 @@ def maps_figure(result: ResultLike) -> Figure:
     density, numbers = _numbers(result, "distribution"), _numbers(result, "peclet_number")
     theta, phi = _numbers(result, "theta"), _numbers(result, "phi")
     shown = [i for i in range(len(numbers)) if np.isfinite(density[i]).all()][:_MOST_MAPS]
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    width = style.COLUMN if columns == 1 else style.PAGE
-    figure = style.new_figure(width, 0.3 + rows * (2.9 if columns == 1 else 2.05))
-    panels: Sequence[Axes] = np.ravel(np.atleast_1d(figure.subplots(rows, columns))).tolist()
+    wide = len(shown) > 1
+    figure, panels = style.panels(
+        len(shown),
+        3,
+        style.PAGE if wide else style.COLUMN,
+        lambda rows: 0.3 + rows * (2.05 if wide else 2.9),
+    )
     upper = theta <= 0.5 * np.pi + 1e-12
-    radius = np.sqrt(2.0) * np.sin(0.5 * theta[upper])
-    around = np.append(phi, 2.0 * np.pi)
+    radius, around = np.sqrt(2.0) * np.sin(0.5 * theta[upper]), np.append(phi, 2.0 * np.pi)
     x, y = np.outer(radius, np.cos(around)), np.outer(radius, np.sin(around))
-    for axes in panels[len(shown) :]:
-        axes.set_visible(False)
-    for axes, index in zip(panels, shown, strict=False):
+    for axes, index in zip(panels, shown, strict=True):
         values = density[index][upper]
         values = np.concatenate([values, values[:, :1]], axis=1)
         mesh = axes.pcolormesh(x, y, values, shading="gouraud", rasterized=True)
-        _frame(axes)
+        draw_frame(axes, (90,), "e")
         axes.set_title(_peclet(float(numbers[index])), loc="left")
         bar = figure.colorbar(mesh, cax=axes.inset_axes((1.04, 0.1, 0.04, 0.8)))
         bar.set_label(rf"density ${RHEOLOGY['distribution'].symbol}$")
     return figure
-
-
-def _frame(axes: Axes) -> None:
-    """The equator, and the names of the directions on it."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 361)
-    axes.plot(np.cos(turn), np.sin(turn), color=style.BLACK, linewidth=0.8)
-    axes.set_aspect("equal")
-    axes.set_axis_off()
-    axes.set_xlim(-1.18, 1.18)
-    axes.set_ylim(-1.18, 1.18)
-    for x, y, name in ((1.1, 0.0, "1"), (0.0, 1.1, "2")):
-        axes.text(x, y, f"$e_{name}$", ha="center", va="center")
 
 
 def _peclet(number: float) -> str:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.plots import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from qbxstokes.plots.style import Axes
 
 Array = NDArray[Any]
 

@@ -1,4 +1,4 @@
-"""Quantities of one trajectory against time: each function fills one panel.
+"""Quantities of one trajectory against time, and its path: each function fills one panel.
 
 Components of very different size are drawn in panels of their own, so that a drift across the
 stream is not flattened by the motion along it.
@@ -7,23 +7,21 @@ stream is not flattened by the motion along it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from qbxstokes.plots import style
 from qbxstokes.plots.picture_source import ResultLike, instants, samples, units
+from qbxstokes.plots.style import Axes
 from qbxstokes.quantities import RECORDABLE, STRESS
 from qbxstokes.typing import Array
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Panel = Callable[["Axes"], None]
+Panel = Callable[[Axes], None]
 
 _APART = 20.0  # components whose sizes differ by more than this do not share a panel
 _NOISE = 1e-10  # of the largest component: nothing but rounding
 _POLE = 1e-8  # orbit constants below this, or above its inverse, are 0 or infinite but for rounding
+_TRUE_SCALE = 6.0  # paths longer than this many times their width are stretched across
 _CONSTANT = 1e-3  # largest relative drift of an orbit constant that counts as kept
 
 
@@ -185,3 +183,39 @@ def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
                 draw = _three if name in ("axis", "euler_angles") else vector_panels
                 found += draw(result, name)
     return found
+
+
+def plane_of_motion(position: Array) -> tuple[int, int]:
+    """The two coordinates that change most, the larger one first: stream and cross-stream."""
+    spread = np.ptp(np.where(np.isfinite(position), position, position[0]), axis=0)
+    first, second = np.argsort(-spread, kind="stable")[:2].tolist()
+    return first, second
+
+
+def label_plane(axes: Axes, result: ResultLike, along: int, across: int) -> None:
+    """Name the coordinates that are drawn."""
+    for name, place in (("x", along), ("y", across)):
+        symbol = f"${RECORDABLE['position'].symbols[place]}$"
+        axes.set(**{f"{name}label": style.label(symbol, units(result, "position"))})
+
+
+def draw_path(axes: Axes, result: ResultLike) -> None:
+    """The path in the plane of motion: true to scale, or said not to be where it is too long."""
+    position = samples(result, "position", 3)
+    along, across = plane_of_motion(position)
+    x, y = position[:, along], position[:, across]
+    many = len(x) > style.RASTER_LIMIT
+    axes.plot(x, y, color=style.BLUE, rasterized=many, zorder=2)
+    for place, name, face in ((0, "start", "white"), (-1, "end", style.BLACK)):
+        look = {"mfc": face, "mec": style.BLACK, "ms": 5, "zorder": 3, "label": name}
+        axes.plot(x[place], y[place], "o", **look)
+    label_plane(axes, result, along, across)
+    style.legend_above(axes, handle=1.0)
+    width, height = np.ptp(x), np.ptp(y)
+    if width <= _TRUE_SCALE * height:
+        axes.set_aspect("equal", adjustable="datalim")
+    elif height <= 1e-9 * width:
+        middle = 0.5 * (y.min() + y.max())
+        axes.set_ylim(middle - 0.5, middle + 0.5)
+    else:
+        axes.set_xlabel(axes.get_xlabel() + "; not to scale")

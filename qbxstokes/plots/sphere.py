@@ -9,18 +9,14 @@ isotropic axes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.plots import style
+from qbxstokes.plots.style import Axes, Figure
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _DOTS = 400  # fewer axes than this are drawn one by one
 _PER_CELL = 25.0  # axes in a cell, on average
@@ -28,20 +24,18 @@ _PER_CELL = 25.0  # axes in a cell, on average
 
 def distribution_figure(panels: Mapping[str, Array]) -> Figure:
     """A panel per set of unit axes (n, 3); all share their colours."""
-    figure = style.new_figure(style.COLUMN if len(panels) == 1 else style.PAGE, 3.1)
+    width = style.COLUMN if len(panels) == 1 else style.PAGE
+    figure, drawn = style.panels(len(panels), len(panels), width, lambda _: 3.1)
     cells = {name: _cells(axes) for name, axes in panels.items() if len(axes) >= _DOTS}
     most = max([float(values.max()) for *_, values in cells.values()], default=1.0)
-    drawn = []
-    for index, (name, given) in enumerate(panels.items()):
-        axes = figure.add_subplot(1, len(panels), index + 1)
-        _draw_frame(axes)
+    for axes, (name, given) in zip(drawn, panels.items(), strict=True):
+        draw_frame(axes)
         if name in cells:
             x, y, values = cells[name]
             mesh = axes.pcolormesh(x, y, values, vmin=0.0, vmax=most, rasterized=True)
         else:
             axes.plot(*_projected(given), "o", ms=2.2, color=style.BLUE, mec="none")
         axes.set_title(f"{name}, {len(given)} axes", loc="left")
-        drawn.append(axes)
     if cells:
         figure.colorbar(mesh, ax=drawn, label="density over isotropic", aspect=30)
     style.letter_panels(drawn)
@@ -70,18 +64,16 @@ def _cells(given: Array) -> tuple[Array, Array, Array]:
     return *corners, counts * counts.size / len(given)
 
 
-def _draw_frame(axes: Axes) -> None:
-    """The rim, circles of latitude every 30 degrees, and the names of the directions."""
+def draw_frame(axes: Axes, degrees: Sequence[int] = (30, 60, 90), symbol: str = "x") -> None:
+    """The rim, circles of latitude, and the names of the directions."""
     from matplotlib.patches import Circle
 
-    for degrees in (30, 60, 90):
+    for angle in degrees:
         look: dict[str, Any] = {"facecolor": "none", "zorder": 3, "linewidth": 0.5}
-        look["edgecolor"] = style.GREY if degrees < 90 else style.BLACK
-        radius = math.sqrt(1.0 - math.cos(math.radians(degrees)))
+        look["edgecolor"] = style.GREY if angle < 90 else style.BLACK
+        radius = math.sqrt(1.0 - math.cos(math.radians(angle)))
         axes.add_patch(Circle((0.0, 0.0), radius, **look))
     for name, x, y in (("1", 1.12, 0.0), ("2", 0.0, 1.12)):
-        axes.text(x, y, f"$x_{name}$", ha="center", va="center")
-    axes.set_aspect("equal")
-    axes.set_xlim(-1.06, 1.2)
-    axes.set_ylim(-1.06, 1.2)
+        axes.text(x, y, f"${symbol}_{name}$", ha="center", va="center")
+    axes.set(xlim=(-1.06, 1.2), ylim=(-1.06, 1.2), aspect="equal")
     axes.set_axis_off()

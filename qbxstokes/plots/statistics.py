@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,7 @@ from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
 from qbxstokes.plots.columns import Array, Columns, groups_of, label_of
 from qbxstokes.plots.scales import is_log
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from qbxstokes.plots.style import Axes, Figure
 
 # Which number stands for many, how far its band reaches, and what the picture says of both.
 _AVERAGES = {
@@ -85,11 +82,9 @@ def histogram_figure(columns: Columns, names: Sequence[str], by: Sequence[str]) 
             f"{columns.name}: {len(groups)} histograms cannot be told apart; at most "
             f"{len(style.LINES)}"
         )
-    figure = style.new_figure(style.COLUMN, 2.5 * len(names))
-    panels: list[Axes] = []
-    for name in names:
-        panels.append(figure.add_subplot(len(names), 1, len(panels) + 1))
-        _draw_histogram(panels[-1], columns, name, groups)
+    figure, panels = style.panels(len(names), 1, style.COLUMN, lambda rows: 2.5 * rows)
+    for axes, name in zip(panels, names, strict=True):
+        _draw_histogram(axes, columns, name, groups)
     if any(str(part.get_label()) for part in panels[0].patches):
         style.legend_above(panels[0], columns=min(3, len(groups)))
     style.letter_panels(panels)

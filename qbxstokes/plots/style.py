@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -18,16 +18,17 @@ from io import BytesIO
 from itertools import cycle, islice
 from math import floor, inf, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from qbxstokes import __version__
 from qbxstokes.errors import CaseError
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 FORMATS = ("pdf", "svg", "png")
+# What matplotlib calls so: annotations alone name them, so that nothing imports it without drawing.
+Axes: TypeAlias = Any
+Figure: TypeAlias = Any
+# Pictures by their kind, each made when it is called.
+Drawings = dict[str, Callable[[], Figure]]
 
 # Widths of a column and of a page in inches (86 mm and 178 mm, common to physics journals).
 COLUMN = 3.4
@@ -139,17 +140,36 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     if axes := _given.get():
-        return axes  # type: ignore[return-value]
+        return axes
     figure: Figure = _picture()(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
-@cache
-def _picture() -> type[Figure]:
-    from matplotlib.figure import Figure
+def panels(
+    count: int, columns: int, width: float, height: Callable[[int], float], shared: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """A figure with panels in rows of so many, whose height follows from the number of rows.
 
-    class Picture(Figure):
+    shared: all have the axes of the first, which only those at the edges name.
+    """
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    figure, drawn = new_figure(width, height(rows)), list[Axes]()
+    for place in range(count):
+        with_first = drawn[0] if shared and drawn else None
+        axes = figure.add_subplot(rows, columns, place + 1, sharex=with_first, sharey=with_first)
+        if shared:
+            axes.tick_params(labelbottom=place + columns >= count, labelleft=place % columns == 0)
+        drawn.append(axes)
+    return figure, drawn
+
+
+@cache
+def _picture() -> Any:
+    from matplotlib import figure
+
+    class Picture(figure.Figure):
         """A figure that a notebook shows."""
 
         def _repr_png_(self) -> bytes:
@@ -265,7 +285,7 @@ def legend_on_top(figure: Figure, panels: Sequence[Axes]) -> None:
         columns = _fitting(names, figure.get_figwidth())
         figure.legend(handles, names, loc="upper left", ncol=columns)
         room = 0.19 * -(-len(names) // columns) / figure.get_figheight()
-        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room))  # type: ignore[call-arg]
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room))
 
 
 def _fitting(names: Sequence[str], width: float) -> int:
@@ -325,7 +345,7 @@ def _lay_out(figure: Figure) -> None:
     engine.execute(figure)
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)  # with "none", saving draws it once more for its layout
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    renderer = figure.canvas.get_renderer()
     left: dict[float, list[Axes]] = {}
     for axes in figure.axes:
         if axes.get_ylabel() and axes.yaxis.label_position == "left":

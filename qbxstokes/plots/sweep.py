@@ -8,9 +8,9 @@ Random starts alone: points over the orbit constant they start with, and axes on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,9 +20,7 @@ from qbxstokes.plots.columns import CURVES, Columns, Rows, figure_of
 from qbxstokes.plots.picture_source import ResultLike, resolved_case
 from qbxstokes.plots.sphere import distribution_figure
 from qbxstokes.plots.statistics import averaged, histogram_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from qbxstokes.plots.style import Drawings, Figure
 
 # Summaries that are drawn unasked, where they are numbers that are not all zero.
 SHOWN = (
@@ -164,7 +162,7 @@ def parted(axes: Sequence[_Axis], x: str) -> list[str]:
 
 def drawings(
     sweep: SweepLike, kinds: Sequence[str] = (), roles: Mapping[str, Any] | None = None
-) -> dict[str, Callable[[], Figure]]:
+) -> Drawings:
     """Name and drawing of each picture: those asked for, or those that say something.
 
     roles: x, y, by, value and scale instead of what the sweep suggests.
@@ -180,7 +178,7 @@ def drawings(
     if not kinds and (measured := _measured(sweep, columns)):
         return measured
     wanted = kinds or [name for name in SHOWN if name in columns.values and _says(columns, name)]
-    found: dict[str, Callable[[], Figure]] = {
+    found: Drawings = {
         name: partial(_figure, columns, description(sweep, name))
         for name in wanted
         if name != ORIENTATIONS
@@ -214,9 +212,7 @@ def orientations(sweep: SweepLike) -> Figure:
     return distribution_figure({"end": rotation.axis(q)})
 
 
-def _asked(
-    sweep: SweepLike, columns: Columns, roles: Mapping[str, Any]
-) -> dict[str, Callable[[], Figure]]:
+def _asked(sweep: SweepLike, columns: Columns, roles: Mapping[str, Any]) -> Drawings:
     """The one picture that the roles tell of, completed where they leave something open."""
     spec = dict(roles)
     if counted := spec.pop("histogram", None):
@@ -242,7 +238,7 @@ def _asked(
     return {"-".join(names): partial(_figure, columns, spec)}
 
 
-def _measured(sweep: SweepLike, columns: Columns) -> dict[str, Callable[[], Figure]]:
+def _measured(sweep: SweepLike, columns: Columns) -> Drawings:
     """Of a measured sweep the error over the time; nothing where there is no error."""
     section = resolved_case(sweep).get("sweep") or {}
     time = "wall_time" if "wall_time" in columns.values else "setup_time"

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.plots import style
 from qbxstokes.plots.instant import members_of, name_of, surfaces_of, view_of
 from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.style import Figure
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 # Arrows of the traction: distance between them over the half width of the picture, and the least
 # length over the longest.
