@@ -11,12 +11,11 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
+from qbxstokes.typing import AnyArray
 
 HDF5 = ".h5", ".hdf5", ".nc", ".nc4"
 _TEXT = 2**30  # bytes of text that are read
@@ -37,7 +36,7 @@ class Table:
 
     path: Path
     names: tuple[str, ...]
-    numbers: NDArray[Any]
+    numbers: AnyArray
     words: list[list[str]] | None
     lines: list[int]
 
@@ -142,7 +141,7 @@ def check_file(path: Path) -> None:
         raise TableError(f"{path}: is {size:.1f} GB of text; a .npy file is mapped, not read")
 
 
-def read_datasets(path: str | Path) -> dict[str, NDArray[Any]]:
+def read_datasets(path: str | Path) -> dict[str, AnyArray]:
     """Finite numbers (N, ...) of all datasets of an HDF5 file, by name; raises TableError."""
     import h5py
 

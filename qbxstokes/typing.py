@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+AnyArray = NDArray[Any]  # of numbers of any kind, words or records
 Integers = NDArray[np.int64]
 Indices = NDArray[np.intp]

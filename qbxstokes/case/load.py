@@ -111,7 +111,11 @@ def from_document(document: Document, path: Path, space: SweepSpace | None = Non
     if isinstance(document.data.get("sweep"), dict):
         with _told(document):
             space = space or _space(document.data, path.parent)
-            document = _first_point(document, space)
+            # The first value of every swept key in its place, and its line.
+            data = space.assign(document.data, [0] * len(space.axes))
+            data["sweep"] = document.data["sweep"]
+            lines = {column.key: document.line(column.where) for _, column in space.columns}
+            document = replace(document, data=data, lines=document.lines | lines)
     case = validate(document)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", SinglePrecisionWarning)
@@ -152,14 +156,6 @@ def _paths(data: dict[str, Any], name: str, value: Any, folder: Path) -> Any:
     except FlowError as error:
         raise Problem(f"flow: {error}", "all takes every path of a linear flow's series") from None
     return {"linspace": [0, max(count - 1, 1)], "count": count}
-
-
-def _first_point(document: Document, space: SweepSpace) -> Document:
-    """The document with the first value of every swept key in its place, and its line."""
-    data = space.assign(document.data, [0] * len(space.axes))
-    data["sweep"] = document.data["sweep"]
-    lines = {column.key: document.line(column.where) for _, column in space.columns}
-    return replace(document, data=data, lines=document.lines | lines)
 
 
 def validate(document: Document) -> Case:

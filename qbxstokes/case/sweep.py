@@ -21,14 +21,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.document import ORIENTATION, assigned, parse_key
 from qbxstokes.case.model import Reader, Section, key, number, refined, several, some, switch, whole
 from qbxstokes.case.values import Key, Problem, at, describe, gathered, to_angle, with_numbers
 from qbxstokes.tables import Table, TableError, fault, read_table
-
-Array = NDArray[Any]
+from qbxstokes.typing import AnyArray
 
 CHUNK = 4096
 MAX_POINTS = 10**12
@@ -89,7 +87,7 @@ class Column:
     """The values of one key along one axis: numbers (n,), vectors (n, m), or words."""
 
     key: Key
-    values: Array | None = None
+    values: AnyArray | None = None
     kind: str = ""
     size: int = 0
     seed: int = 0
@@ -104,7 +102,7 @@ class Column:
         where = f"line {self.table.lines[point]}" if self.table.lines else f"row {point + 1}"
         return f"{self.table.path}, {where}"
 
-    def take(self, points: Array) -> Array:
+    def take(self, points: AnyArray) -> AnyArray:
         """Values at the given points of the axis."""
         if self.values is not None:
             return np.asarray(self.values[points])
@@ -116,7 +114,7 @@ class Column:
             taken[inside] = self._chunk(int(chunk))[points[inside] - chunk * CHUNK]
         return taken
 
-    def _chunk(self, number: int) -> Array:
+    def _chunk(self, number: int) -> AnyArray:
         """CHUNK random values; each chunk has a generator of its own."""
         generator = np.random.default_rng([self.seed, number])
         if self.kind == "uniform":
@@ -185,7 +183,7 @@ class SweepSpace:
         """Every column with the number of its axis."""
         return [(axis, column) for axis, columns in enumerate(self.axes) for column in columns]
 
-    def values(self, index: Array) -> dict[Key, Array]:
+    def values(self, index: AnyArray) -> dict[Key, AnyArray]:
         """The swept values of the trajectories `index` (n,)."""
         points = np.unravel_index(index, self.shape)
         return {column.key: column.take(points[axis]) for axis, column in self.columns}

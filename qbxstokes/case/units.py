@@ -1,5 +1,6 @@
 """The section `units`: physical scales, and keys that may then be given with a unit."""
 
+from contextlib import suppress
 from typing import Annotated, Any
 
 from qbxstokes.case.model import Reader, Section, key
@@ -113,20 +114,14 @@ def _plain(value: Any, path: tuple[str | int, ...], scales: Scales) -> Any:
     return value if units is None else _number(value, path, units, scales)
 
 
-def _is_expression(text: str) -> bool:
-    """Whether a text is arithmetic, of t too, rather than a number with a unit."""
-    try:
-        expression_in_time(text)(0.0)
-    except (ValueError, TypeError, ArithmeticError):
-        return False
-    return True
-
-
 def _number(value: Any, path: tuple[str | int, ...], units: str, scales: Scales) -> Any:
     if isinstance(value, list):
         return [_number(v, (*path, place), units, scales) for place, v in enumerate(value)]
-    if not has_unit(value) or _is_expression(value):
+    if not has_unit(value):
         return value
+    with suppress(ValueError, TypeError, ArithmeticError):
+        expression_in_time(value)(0.0)
+        return value  # arithmetic, of t too
     try:
         return scales.plain(value, units)
     except ValueError as error:

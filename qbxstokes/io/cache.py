@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.folders import default_folder
 from qbxstokes.io.store import DamagedPart, read_part, write_part
+from qbxstokes.typing import AnyArray
 
-Arrays = Mapping[str, NDArray[Any]]
+Arrays = Mapping[str, AnyArray]
 FORMAT_VERSION = 2
 # Packages whose sources determine the arrays.
 _NUMERICAL = ("geometry", "qbx", "bie")
@@ -56,14 +56,14 @@ class Cache:
 
     def __init__(self, folder: Path | None, shared: bool = False) -> None:
         self.folder = folder
-        self.entries: dict[str, dict[str, NDArray[Any]]] | None = {} if shared else None
+        self.entries: dict[str, dict[str, AnyArray]] | None = {} if shared else None
         self.problems: list[str] = []
         self.found = 0
         self.stored = 0
 
     def load(
         self, kind: str, key: Mapping[str, Any], fault: Callable[[Arrays], str] = lambda _: ""
-    ) -> dict[str, NDArray[Any]] | None:
+    ) -> dict[str, AnyArray] | None:
         """The arrays kept under this key, None if there are none or they are not to be used.
 
         fault: says what is wrong with the arrays, '' where nothing is.
@@ -91,7 +91,7 @@ class Cache:
             self.entries[text] = arrays
         return dict(arrays)
 
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
         """Keep the arrays under this key; a folder that cannot be written is told, no more."""
         text = _text(kind, key)
         if self.entries is not None:
@@ -111,7 +111,7 @@ class Cache:
         return self.folder / f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.h5"
 
 
-def _own_part(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def _own_part(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
     """What a file holds that its user alone could have written; raises DamagedPart, OSError."""
     told = os.lstat(path)
     if not stat.S_ISREG(told.st_mode):

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, needed
 from qbxstokes.io import axes as names
 from qbxstokes.io.listing import KNOWN
 from qbxstokes.quantities import FLUID, POINT, SURFACE
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     import pandas
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from qbxstokes.io.results import Result
 
-Array = NDArray[Any]
 
 _TOLD = ("units", "description")
 
@@ -43,7 +42,7 @@ def _labels(result: Result, name: str, axis: str, size: int) -> Sequence[Any]:
     return [f"{prefix}{number + 1}" for number in range(size)]
 
 
-def columns(result: Result) -> tuple[list[str], dict[str, Array]]:
+def columns(result: Result) -> tuple[list[str], dict[str, AnyArray]]:
     """The table that a result is: names of the columns that number its rows, columns by name.
 
     A row per instant of a motion, per trajectory of a sweep, per Peclet number and instant of a
@@ -53,7 +52,7 @@ def columns(result: Result) -> tuple[list[str], dict[str, Array]]:
         return ["trajectory"], {"trajectory": np.arange(len(result.table)), **table_of(result)}
     leading = [axis for axis in names.LEADING.get(result.task, ()) if axis in result.shapes]
     sizes = [result.shapes[axis][-1] for axis in leading]
-    found: dict[str, Array] = {}
+    found: dict[str, AnyArray] = {}
     for number, axis in enumerate(leading):
         held = np.reshape(result[axis], [-1 if n == number else 1 for n in range(len(sizes))])
         found[axis] = np.broadcast_to(held, sizes).ravel()
@@ -73,13 +72,13 @@ def columns(result: Result) -> tuple[list[str], dict[str, Array]]:
     return leading, found
 
 
-def table_of(result: Result) -> dict[str, Array]:
+def table_of(result: Result) -> dict[str, AnyArray]:
     """The table of a sweep, column by column, texts decoded."""
     table = result.arrays["table"]
     return {name: texts(table[name]) for name in table.dtype.names or ()}
 
 
-def texts(column: Array) -> Array:
+def texts(column: AnyArray) -> AnyArray:
     """A column as it is, or its bytes as text."""
     return np.char.decode(column, "ascii") if column.dtype.kind == "S" else column
 
@@ -117,11 +116,11 @@ def to_xarray(result: Result) -> xarray.Dataset:
     return needed("xarray", "to_xarray()").Dataset(variables, coordinates, about)
 
 
-def _sets(result: Result) -> dict[str, dict[str, Array]]:
+def _sets(result: Result) -> dict[str, dict[str, AnyArray]]:
     """The tables of a field: columns by name of each set of points, surface and lines."""
     about = FLUID | POINT | SURFACE
     group = result.groups.get("field", {})
-    found: dict[str, dict[str, Array]] = {}
+    found: dict[str, dict[str, AnyArray]] = {}
     for name, held in group.items():
         if not isinstance(held, Mapping) or "points" not in held:
             continue
@@ -153,7 +152,7 @@ def _csv(result: Result, path: Path) -> list[Path]:
     ]
 
 
-def _headed(result: Result, table: dict[str, Array]) -> dict[str, Array]:
+def _headed(result: Result, table: dict[str, AnyArray]) -> dict[str, AnyArray]:
     """Columns under their names, with their units where these are physical."""
     if result.converted_by is None:
         return table
@@ -167,7 +166,7 @@ def _headed(result: Result, table: dict[str, Array]) -> dict[str, Array]:
     return found
 
 
-def _rows(table: Mapping[str, Array], path: Path) -> Path:
+def _rows(table: Mapping[str, AnyArray], path: Path) -> Path:
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(table)
@@ -186,9 +185,9 @@ def _npz(result: Result, path: Path) -> list[Path]:
     return [path]
 
 
-def _arrays(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Array]:
+def _arrays(tree: Mapping[str, Any], prefix: str = "") -> dict[str, AnyArray]:
     """The arrays of nested groups, as group/name."""
-    found: dict[str, Array] = {}
+    found: dict[str, AnyArray] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
             found |= _arrays(value, f"{prefix}{name}/")

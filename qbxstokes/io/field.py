@@ -15,15 +15,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.io.format import describe, placed_dataset
 from qbxstokes.quantities import FLUID, INSTANT, POINT, SURFACE
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     import h5py
 
-Array = NDArray[Any]
 GROUP = "field"
 
 # What may stand at points, and what every point has beside its quantities.
@@ -34,7 +33,7 @@ _TYPES = {"inside": np.dtype(np.bool_), "source": np.dtype(np.int8)}
 
 
 def create(
-    file: h5py.File, times: Array, sets: Mapping[str, tuple[int, ...]], names: Sequence[str]
+    file: h5py.File, times: AnyArray, sets: Mapping[str, tuple[int, ...]], names: Sequence[str]
 ) -> None:
     """The group `field` with room for sets of points (name -> shape of the grid).
 
@@ -59,14 +58,14 @@ def bytes_per_point(names: Sequence[str]) -> int:
     return _NUMBER.itemsize * numbers + sum(kind.itemsize for kind in _TYPES.values())
 
 
-def put_rows(inner: h5py.Group, index: int, begin: int, rows: Mapping[str, Array]) -> None:
+def put_rows(inner: h5py.Group, index: int, begin: int, rows: Mapping[str, AnyArray]) -> None:
     """Write a piece of points and quantities of a set at an instant."""
     for quantity, values in rows.items():
         inner[quantity][index, begin : begin + len(values)] = values
 
 
 def put_arrays(
-    group: h5py.Group, name: str, arrays: Mapping[str, Array], attributes: Mapping[str, Any]
+    group: h5py.Group, name: str, arrays: Mapping[str, AnyArray], attributes: Mapping[str, Any]
 ) -> None:
     """Write a group of whole arrays, those that are listed quantities with their attributes."""
     inner = group.require_group(name)

@@ -44,7 +44,12 @@ def check_writable(path: Path, overwrite: bool = False) -> None:
             os.lstat(temporary_name(path))  # complains about a name that is too long
     except OSError as error:
         raise CaseError(f"{path}: cannot be a result file ({error.strerror})") from None
-    if overwrite and os.path.lexists(path) and not _is_result(path):
+    if overwrite and os.path.lexists(path):
+        with contextlib.suppress(OSError):
+            if path.is_file():
+                with open_file(path) as file:
+                    if file.attrs.get("format") == FORMAT:
+                        return
         raise CaseError(
             f"{path}: exists and is not a result of this program, so it is not overwritten; "
             "choose another name or remove it"
@@ -54,16 +59,6 @@ def check_writable(path: Path, overwrite: bool = False) -> None:
 def temporary_name(path: Path, folder: Path | None = None) -> Path:
     """The name under which a result is written until it is complete, beside it or in a folder."""
     return (folder or path.parent) / f".{path.name}.{os.getpid()}.part"
-
-
-def _is_result(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    try:
-        with open_file(path) as file:
-            return bool(file.attrs.get("format") == FORMAT)
-    except OSError:
-        return False
 
 
 def told_by(path: Path, name: str, complete: bool = False) -> str | None:

@@ -7,16 +7,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.listing import LazyArrays, units_in_groups
+from qbxstokes.typing import AnyArray
 from qbxstokes.units import Scales
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
-
-Array = NDArray[Any]
 
 
 def physical(result: Result) -> Result:
@@ -27,7 +25,7 @@ def physical(result: Result) -> Result:
         raise ResultFileError(f"{result.path}: holds no physical scales; {right}")
     scales = Scales(given)
 
-    def converted(name: str) -> Array:
+    def converted(name: str) -> AnyArray:
         convert = _table if name == "table" else _array
         return convert(result.arrays[name], result.attributes[name], scales)
 
@@ -45,7 +43,7 @@ def shown(units: Any, scales: Scales) -> tuple[float, str] | None:
     return None if scale is None else scales.shown(scale)
 
 
-def _array(data: Array, about: Mapping[str, Any], scales: Scales) -> Array:
+def _array(data: AnyArray, about: Mapping[str, Any], scales: Scales) -> AnyArray:
     units = str(about.get("units", ""))
     pair = _matrix(units, scales)
     if pair is not None and data.ndim > 1 and data.shape[-1] == data.shape[-2]:
@@ -64,7 +62,7 @@ def _matrix(units: str, scales: Scales) -> Any:
     return pair if all(pair) else None
 
 
-def _table(data: Array, about: Mapping[str, Any], scales: Scales) -> Array:
+def _table(data: AnyArray, about: Mapping[str, Any], scales: Scales) -> AnyArray:
     table = data.copy()
     for name in table.dtype.names or ():
         if found := shown(about.get(f"{name}: units", ""), scales):

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import HeldFileError, ResultFileError
 from qbxstokes.folders import unreadable
@@ -23,6 +22,7 @@ from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, is_dimension, ope
 from qbxstokes.io.listing import Held, LazyArrays, listing
 from qbxstokes.io.names import newest
 from qbxstokes.motion.means import Mean, mean_of
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     import h5py
@@ -45,7 +45,7 @@ class Result:
         self,
         path: Path,
         header: dict[str, Any],
-        arrays: Mapping[str, NDArray[Any]],
+        arrays: Mapping[str, AnyArray],
         attributes: dict[str, dict[str, Any]],
         groups: dict[str, dict[str, Any]],
     ) -> None:
@@ -103,13 +103,13 @@ class Result:
         held = self.groups.get("field", {}).items()
         return {name: value for name, value in held if isinstance(value, Mapping)}
 
-    def __getattr__(self, name: str) -> NDArray[Any]:
+    def __getattr__(self, name: str) -> AnyArray:
         arrays = self.__dict__.get("arrays", {})
         if name in arrays:
             return arrays[name]
         raise AttributeError(f"no dataset {name}; there are {', '.join(arrays)}")
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
+    def __getitem__(self, name: str) -> AnyArray:
         return self.arrays[name]
 
     def __dir__(self) -> list[str]:
@@ -287,7 +287,7 @@ def _read(path: Path) -> Result:
     return Result(path, header, arrays, attributes, groups)
 
 
-def _dataset(path: Path, name: str) -> NDArray[Any]:
+def _dataset(path: Path, name: str) -> AnyArray:
     try:
         with open_file(path) as file:
             return np.asarray(file[name][()])

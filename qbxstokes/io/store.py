@@ -26,13 +26,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.names import numbered, parts_of
 from qbxstokes.io.results import shows_parts
-
-Array = NDArray[Any]
+from qbxstokes.typing import AnyArray
 
 LOCK, RUN = "lock", "run.json"
 _NOTE, _SUFFIX = "note", ".h5"
@@ -73,7 +71,7 @@ def write_whole(path: Path, data: bytes | memoryview) -> None:
             os.close(folder)
 
 
-def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
+def packed(arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> bytes:
     """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading.
 
     The note is plain data that may hold arrays, too.
@@ -105,7 +103,7 @@ def packed(arrays: Mapping[str, Array], note: Mapping[str, Any]) -> bytes:
     return image
 
 
-def _taken_out(value: Any, path: str, arrays: dict[str, Array]) -> Any:
+def _taken_out(value: Any, path: str, arrays: dict[str, AnyArray]) -> Any:
     """Nested data with nothing in the place of its arrays, which go to `arrays` by their paths."""
     if isinstance(value, np.ndarray):
         arrays[path] = value
@@ -117,14 +115,14 @@ def _taken_out(value: Any, path: str, arrays: dict[str, Array]) -> Any:
     return value
 
 
-def write_part(path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+def write_part(path: Path, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
     """Write a part; raises OSError."""
     write_whole(path, packed(arrays, note))
 
 
 def read_part(
     path: Path, names: Iterable[str] | None = None
-) -> tuple[dict[str, Array], dict[str, Any]]:
+) -> tuple[dict[str, AnyArray], dict[str, Any]]:
     """Arrays and note of a part, or of its arrays only those of the names.
 
     Raises DamagedPart, OSError.
@@ -163,7 +161,7 @@ class Work:
     target: the result. writer: number of this process among those at work; the first holds the
     lock. run: how many runs have been at work here, this one included. identity: what the numbers
     depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be
-    put into the result that is there.
+    put into the result that is there. stays: whether the result shows what is in the folder.
     """
 
     def __init__(
@@ -171,7 +169,7 @@ class Work:
     ) -> None:
         self.target, self.identity, self.run, self.writer = target, dict(identity), run, writer
         self.folder = parts_of(target)
-        self.resumed, self.mends = run > 1, False
+        self.resumed, self.mends, self.stays = run > 1, False, False
         self._lock: int | None = None
         self._count = 0
 
@@ -181,7 +179,7 @@ class Work:
 
     # -- what is written ----------------------------------------------------------------------
 
-    def save(self, kind: str, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> Path:
+    def save(self, kind: str, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> Path:
         """Make finished work safe as a part; raises OutputError."""
         self._count += 1
         name = f"{kind}-{self.run:04d}-{self.writer:05d}-{self._count:06d}{_SUFFIX}"
@@ -196,7 +194,7 @@ class Work:
         """Forget the state of work that is finished."""
         (self.folder / f"state-{name}{_SUFFIX}").unlink(missing_ok=True)
 
-    def _write(self, path: Path, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+    def _write(self, path: Path, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
         try:
             write_part(path, arrays, note)
         except OSError as error:
@@ -229,6 +227,7 @@ class Work:
         """
         told = {"run": self.run, "identity": self.identity, "mends": self.mends}
         told |= {"finished": finished, "format": _FORMAT}
+        self.stays = finished
         try:
             write_whole(self.folder / RUN, json.dumps(told).encode())
         except OSError as error:
@@ -361,7 +360,12 @@ def open_work(
             )
     if any(work.folder.glob(f"[!.]*-*{_SUFFIX}")) and shows_parts(target):
         target.unlink()  # it would show what takes the place of its parts
-    _cleared(work.folder)
+    (work.folder / RUN).unlink(missing_ok=True)
+    for path in work.folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != LOCK:
+            path.unlink(missing_ok=True)
     return work
 
 
@@ -393,18 +397,6 @@ def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
         path.unlink(missing_ok=True)
     work.note_run()  # parts of every run have names of their own
     return work
-
-
-def _cleared(folder: Path) -> None:
-    """Remove everything but the lock."""
-    (folder / RUN).unlink(missing_ok=True)
-    for path in folder.iterdir():
-        if path.name == LOCK:
-            continue
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
 
 
 def first_difference(one: Any, other: Any, prefix: str = "") -> str | None:

@@ -22,18 +22,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import OutputError, ResultFileError
 from qbxstokes.io.format import PARTS, describe, placed_dataset
 from qbxstokes.io.store import Work, check_disk, unwritable
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity, of_bodies
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     import h5py
 
-Array = NDArray[Any]
 
 REASON_LENGTH = 160
 DONE, FAILED = 1, 2
@@ -54,7 +53,7 @@ class Layout:
     samples: int
     dtype: np.dtype[Any]
     quantities: tuple[str, ...]
-    times: Array | None
+    times: AnyArray | None
     coordinates: tuple[str, ...]
     descriptions: Mapping[str, Quantity]
     bodies: int = 0
@@ -84,8 +83,8 @@ class Shown:
 
     path: Path
     size: int
-    rows: Array
-    places: Array
+    rows: AnyArray
+    places: AnyArray
 
 
 class SweepWriter(ResultWriter):
@@ -100,7 +99,7 @@ class SweepWriter(ResultWriter):
         work: Work,
         layout: Layout,
         provenance: Mapping[str, Any],
-        coordinates: Iterator[tuple[int, dict[str, Array]]],
+        coordinates: Iterator[tuple[int, dict[str, AnyArray]]],
         shown: Sequence[Shown] | None = None,
     ) -> None:
         super().__init__(work.target, "sweep", provenance, True, work.folder)
@@ -119,7 +118,7 @@ class SweepWriter(ResultWriter):
                 for name, values in columns.items():
                     self.file[name][first : first + len(values)] = values
 
-    def write_rows(self, rows: Array, arrays: Mapping[str, Array]) -> None:
+    def write_rows(self, rows: AnyArray, arrays: Mapping[str, AnyArray]) -> None:
         """Rows (m,) of the table and the quantities, dataset -> (m, ...); raises OutputError."""
         with self._writing():
             for name, values in arrays.items():
@@ -129,7 +128,7 @@ class SweepWriter(ResultWriter):
         return unwritable(self.path, failure)
 
 
-def put_rows(data: h5py.Dataset, rows: Array, values: Array) -> None:
+def put_rows(data: h5py.Dataset, rows: AnyArray, values: AnyArray) -> None:
     """Write values (m, ...) as the rows (m,) of a dataset, in whatever order."""
     order = np.argsort(rows)
     for first in range(0, len(rows), _AT_ONCE):
@@ -176,7 +175,7 @@ def _virtual_dataset(
     return data
 
 
-def _even(rows: Array, places: Array) -> tuple[list[Array], list[Array]]:
+def _even(rows: AnyArray, places: AnyArray) -> tuple[list[AnyArray], list[AnyArray]]:
     """Both cut into stretches in which each of them rises evenly."""
     steps = np.stack([np.diff(rows), np.diff(places)])
     changes = np.flatnonzero(np.any(np.diff(steps), axis=0))
@@ -192,7 +191,7 @@ def _even(rows: Array, places: Array) -> tuple[list[Array], list[Array]]:
     return [rows[part] for part in cut], [places[part] for part in cut]
 
 
-def _slices(stretches: list[Array]) -> Iterator[slice]:
+def _slices(stretches: list[AnyArray]) -> Iterator[slice]:
     for numbers in stretches:
         step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
         yield slice(int(numbers[0]), int(numbers[-1]) + 1, step)

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.io.writer import whole_hdf5
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     import h5py
 
-Array = NDArray[Any]
 
 _POLYGONAL = ("Vertices", "Lines", "Polygons", "Strips")
 _OFFSETS = ("PointOffsets", "CellOffsets", "ConnectivityIdOffsets")
@@ -71,7 +70,9 @@ def _typed(parent: h5py.Group, name: str, kind: str) -> h5py.Group:
     return group
 
 
-def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, dict[str, Array]]:
+def _piece(
+    name: str, inner: h5py.Group, step: int
+) -> tuple[AnyArray, AnyArray, int, dict[str, AnyArray]]:
     """Points (N, 3), cells (M, n), type of cell and point data of a part at one step."""
     if name == "streamlines":
         lines = inner["points"][step]
@@ -103,7 +104,7 @@ def _piece(name: str, inner: h5py.Group, step: int) -> tuple[Array, Array, int, 
     return points, cells, kind, data
 
 
-def _cells(shape: tuple[int, ...], closed: bool) -> tuple[Array, int]:
+def _cells(shape: tuple[int, ...], closed: bool) -> tuple[AnyArray, int]:
     """Corners of the cells of a structured grid; closed grids join in their last direction."""
     index = np.arange(int(np.prod(shape))).reshape(shape)
     if closed:
@@ -130,7 +131,9 @@ class _Part:
             for kind in _POLYGONAL:
                 group.create_group(kind)
 
-    def add(self, points: Array, cells: Array, kind: int, data: Mapping[str, Array]) -> None:
+    def add(
+        self, points: AnyArray, cells: AnyArray, kind: int, data: Mapping[str, AnyArray]
+    ) -> None:
         """Append one step."""
         group = self.group
         begin: dict[str, Any] = dict(self.held)
@@ -154,7 +157,7 @@ class _Part:
             self.offsets[key].append(begin[key])
             self.held[key] += more
 
-    def _topology(self, group: h5py.Group, cells: Array) -> None:
+    def _topology(self, group: h5py.Group, cells: AnyArray) -> None:
         self._extend(group, "NumberOfCells", np.array([len(cells)]))
         self._extend(group, "NumberOfConnectivityIds", np.array([cells.size]))
         self._extend(group, "Connectivity", cells.astype(np.int64).ravel())
@@ -162,7 +165,7 @@ class _Part:
         self._extend(group, "Offsets", np.arange(len(cells) + 1, dtype=np.int64) * width)
 
     @staticmethod
-    def _extend(group: h5py.Group, name: str, values: Array) -> None:
+    def _extend(group: h5py.Group, name: str, values: AnyArray) -> None:
         if name not in group:
             group.create_dataset(
                 name,
@@ -177,7 +180,7 @@ class _Part:
         data.resize(held + len(values), axis=0)
         data[held:] = values
 
-    def finish(self, times: Array) -> None:
+    def finish(self, times: AnyArray) -> None:
         """Write where each step begins."""
         steps = self.group.create_group("Steps")
         n = len(times)

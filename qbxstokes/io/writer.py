@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.axes import name_axes
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, describe, write_tree
 from qbxstokes.io.names import check_writable, numbered, temporary_name
 from qbxstokes.quantities import RECORDABLE, TIME, Quantity
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     import h5py
@@ -171,7 +172,7 @@ class ResultWriter:
     def _lost(self, failure: OSError) -> OutputError:
         return OutputError(f"{self.path}: cannot be written ({failure.strerror or failure})")
 
-    def _extended(self, name: str, values: NDArray[np.float64], about: Quantity) -> h5py.Dataset:
+    def _extended(self, name: str, values: Array, about: Quantity) -> h5py.Dataset:
         """The dataset `name` with `values` after what it held."""
         if values.shape[1:] != about.shape:
             raise ValueError(f"{name}: samples of shape {values.shape[1:]}, not {about.shape}")

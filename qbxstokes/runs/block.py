@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.values import Key
@@ -28,9 +27,7 @@ from qbxstokes.simulation.from_case import Starts, orbit_ratio, simulation_of, s
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from qbxstokes.typing import Array, Indices
 
 
 @dataclass

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import QbxStokesError
@@ -34,8 +33,7 @@ from qbxstokes.simulation.flow_around import AroundBody
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Processor times on one core of a 2 GHz Xeon (s): of a body's hydrodynamics; of case, plan and
 # integrators of a block; of a byte of the result; of handing out a block, one after another; of a

@@ -97,25 +97,36 @@ def finished_result(loaded: LoadedCase, identity: Mapping[str, Any]) -> Path | N
 
 @contextmanager
 def working_folder(
-    job: Job, identity: Mapping[str, Any], kept: Callable[[Work], Any] = lambda _: None
+    job: Job,
+    identity: Mapping[str, Any],
+    kept: Callable[[Work], Any] = lambda _: None,
+    reopened: Callable[[Path], Work | None] = lambda _: None,
 ) -> Iterator[tuple[Work | None, Any]]:
     """The working folder of the case's result for this rank, held by rank 0, and what is in it.
 
-    kept: says on rank 0 what earlier runs have left in the folder. Without a folder: the result of
-    this very run, where nothing is left to go on with. The folder goes at the end; where an error
-    ends the run, only if nothing is in it.
+    kept: says on rank 0 what earlier runs have left in the folder. reopened: the folder of a
+    finished result that something is left to do of, None where nothing is. Without a folder: the
+    result of this very run, where nothing is left to go on with. The folder goes at the end unless
+    it `stays`; where an error ends the run, only if nothing is in it.
     """
     comm, loaded, resume = job.comm, job.loaded, job.options.resume
     own: list[Work] = []
 
     def opened() -> tuple[Work | None, Any]:
         done = finished_result(loaded, identity) if resume and not job.overwrite else None
-        if done is not None:
+        work = None if done is None else reopened(done)
+        if done is not None and work is None:
             return None, done
         asked = result_path(loaded)
-        own.append(open_work(asked, identity, resume=resume, overwrite=job.overwrite))
-        own[0].note_run()
-        return own[0].joined(0), kept(own[0])
+        work = work or open_work(asked, identity, resume=resume, overwrite=job.overwrite)
+        try:
+            found = kept(work)
+            work.note_run()
+        except BaseException:
+            work.close(remove=not holds_work(work.folder))
+            raise
+        own.append(work)
+        return work.joined(0), found
 
     folder, found = on_root(comm, opened)
     if folder is None:
@@ -127,7 +138,7 @@ def working_folder(
     except BaseException:
         folder.close(remove=comm.rank == 0 and not holds_work(folder.folder))
         raise
-    folder.close(remove=comm.rank == 0)
+    folder.close(remove=comm.rank == 0 and not folder.stays)
 
 
 def fingerprint(path: Path) -> str:

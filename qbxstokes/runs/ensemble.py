@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
@@ -38,6 +37,7 @@ from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added, turns_wi
 from qbxstokes.simulation.ensemble_means import Found
 from qbxstokes.simulation.from_case import pointed, start_quaternion
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -75,7 +75,7 @@ def ensemble_command(job: Job) -> int:
 # -- from the case --------------------------------------------------------------------------------
 
 
-def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, NDArray[Any]]]:
+def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, AnyArray]]:
     """The ensemble that a case writes down, and the swept values of its bodies by name (B,)."""
     case, space = loaded.case, loaded.space
     assert space is not None
@@ -113,7 +113,7 @@ def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, NDArray[Any]]]:
 
 def _bodies(
     loaded: LoadedCase, axes: list[tuple[Column, ...]]
-) -> tuple[tuple[Body, ...], dict[str, NDArray[Any]]]:
+) -> tuple[tuple[Body, ...], dict[str, AnyArray]]:
     """A body for every combination of swept values, the last axis fastest, and these values."""
     space = SweepSpace(tuple(axes))
     found = space.values(np.arange(space.size)) if axes else {}
@@ -166,7 +166,7 @@ def units_of(ensemble: Ensemble) -> list[range]:
     return [range(start, min(start + per_unit, ensemble.blocks)) for start in starts]
 
 
-def _run(job: Job, ensemble: Ensemble, swept: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _run(job: Job, ensemble: Ensemble, swept: dict[str, AnyArray]) -> dict[str, Any]:
     """Follow all paths on all ranks; returns the summary on all of them."""
     comm, loaded = job.comm, job.loaded
     units = units_of(ensemble)
@@ -243,7 +243,7 @@ def _follow(
 def _write(
     job: Job,
     ensemble: Ensemble,
-    swept: dict[str, NDArray[Any]],
+    swept: dict[str, AnyArray],
     folder: Work,
     gathering: Gathering,
     sampling: dict[str, Any],
@@ -251,7 +251,7 @@ def _write(
     begin: float,
 ) -> dict[str, Any]:
     """On rank 0: the sums of all units in their order, into the result file; the summary."""
-    held: dict[int, dict[str, NDArray[Any]]] = {}
+    held: dict[int, dict[str, AnyArray]] = {}
     trace = 0.0
     try:
         for arrays, note in gathering.collect():
@@ -288,7 +288,7 @@ def _write(
     return summary
 
 
-def arrays_of(found: Found) -> Iterator[tuple[str, NDArray[Any]]]:
+def arrays_of(found: Found) -> Iterator[tuple[str, AnyArray]]:
     """The datasets of a result, by name."""
     by_body = ("moments", "moments_error", "over_strain", "over_strain_error", "counts")
     for place, name in enumerate(found.quantities):

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
@@ -27,11 +26,11 @@ from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
 from qbxstokes.runs.shared_rows import RowTeam
 from qbxstokes.simulation.flow_around import Instant
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
-Array = NDArray[np.float64]
 
 # The service of the other ranks to a motion with a field.
 FIELD = "field"

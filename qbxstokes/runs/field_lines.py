@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.field import FlowAround
 from qbxstokes.case.field import FieldSection
@@ -13,8 +12,7 @@ from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
 from qbxstokes.runs.field_targets import in_space
 from qbxstokes.simulation.flow_around import AroundBody, Instant
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def _starts(lines: Any, instant: Instant) -> Array:

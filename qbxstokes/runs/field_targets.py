@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
@@ -15,8 +14,7 @@ from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.from_case import end_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.tables import TableError, read_table
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 @dataclass(frozen=True)
@@ -105,16 +103,11 @@ def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
     return found or [len(times) - 1]
 
 
-def plane_axes(plane: Plane) -> tuple[Array, Array]:
-    """Orthonormal directions of the plane's coordinates."""
-    first = np.array(plane.first) / np.linalg.norm(plane.first)
-    second = np.array(plane.second) - first * (first @ plane.second)
-    return first, second / np.linalg.norm(second)
-
-
 def plane_targets(plane: Plane) -> Targets:
     """Points of a plane, the second coordinate fastest."""
-    first, second = plane_axes(plane)
+    first = np.array(plane.first) / np.linalg.norm(plane.first)
+    second = np.array(plane.second) - first * (first @ plane.second)
+    second /= np.linalg.norm(second)
     origin = np.array(plane.origin)
     a = np.linspace(plane.extent[0], plane.extent[1], plane.shape[0])
     b = np.linspace(plane.extent[2], plane.extent[3], plane.shape[1])

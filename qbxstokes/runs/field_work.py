@@ -15,7 +15,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import INSIDE, SOURCES
 from qbxstokes.errors import ConvergenceError, QbxStokesError
@@ -30,11 +29,11 @@ from qbxstokes.runs.parallel import HandOut, agree, on_root
 from qbxstokes.runs.shared_rows import rows_by_all
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
+from qbxstokes.typing import Array, Integers
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
-Array = NDArray[np.float64]
 
 # Points of a piece: what a rank holds in memory besides the table. A set of few points is cut into
 # so many pieces that some ranks find work.
@@ -77,9 +76,7 @@ class Found:
 
     slip: float = 0.0
     difference: float = 0.0
-    counts: NDArray[np.int64] = field(
-        default_factory=lambda: np.zeros(len(SOURCES) + 1, dtype=np.int64)
-    )
+    counts: Integers = field(default_factory=lambda: np.zeros(len(SOURCES) + 1, dtype=np.int64))
     solves: dict[int, tuple[int, float]] = field(default_factory=dict)
 
     def note(self) -> dict[str, Any]:
@@ -218,7 +215,7 @@ class FieldWork:
         return tasks or [Task("check", len(self.instants) - 1)]
 
     @property
-    def _mapped(self) -> NDArray[np.int64]:
+    def _mapped(self) -> Integers:
         """Numbers of the points of the plane at which table and QBX are compared."""
         assert self.plane is not None
         stride = np.sqrt(self.plane.size / self.section.check)

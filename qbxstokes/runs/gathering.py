@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.store import DamagedPart, Work, read_part
+from qbxstokes.typing import AnyArray
 
-Array = NDArray[Any]
-Item = tuple[dict[str, Array], dict[str, Any]]
+Item = tuple[dict[str, AnyArray], dict[str, Any]]
 
 # Bytes that are kept in memory at most.
 MOST = 64 * 2**20
@@ -49,7 +48,7 @@ class Gathering:
         self._bytes, self.saved_at = 0, time.monotonic()
         self._waiting = [] if comm.rank else list(range(1, comm.size))
 
-    def add(self, arrays: Mapping[str, Array], note: Mapping[str, Any]) -> None:
+    def add(self, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
         """Take a finished item."""
         self._items.append((dict(arrays), dict(note)))
         self._bytes += sum(values.nbytes for values in arrays.values())

@@ -123,7 +123,11 @@ class Measurer:
         plan, turns = make_plan(loaded), self._scenes.turns
         setups, motions = list[float](), list[float]()
         result.times = times = plan.times
-        key = _body_key(loaded, plan.simulation)
+        # What bodies have in common of which one can stand for the other.
+        options = {k: v for k, v in loaded.case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
+        alike = [loaded.case.body.outline.spec(), plain(loaded.case.hydrodynamics), options]
+        alike += [loaded.flow.degree, plan.simulation.need().completion]
+        key = json.dumps(alike, sort_keys=True)
         known, setup = self._known.get(key, (None, None))
 
         def form(part: Simulation, workshop: Workshop) -> Hydrodynamic:
@@ -158,14 +162,6 @@ class Measurer:
             "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),
             "error": _error(loaded, lambda: compare_samples(assembled, times[:whole], alone)),
         }
-
-
-def _body_key(loaded: LoadedCase, scene: Simulation) -> str:
-    """What the bodies of two trajectories have in common if one can stand for the other."""
-    case = loaded.case
-    options = {k: value for k, value in case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
-    alike = [case.body.outline.spec(), plain(case.hydrodynamics), options]
-    return json.dumps([*alike, loaded.flow.degree, scene.need().completion], sort_keys=True)
 
 
 def _error(loaded: LoadedCase, compared: Callable[[], Comparison]) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
@@ -18,11 +17,11 @@ from qbxstokes.runs.field_targets import Targets, targets_of
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
 
-Array = NDArray[np.float64]
 
 _COUPLED_SAMPLES = 51  # of bodies that share a fluid, where the case does not say
 # Of a motion alone: the compiled blocks of a sweep, general as they are, would gain nothing.

@@ -41,13 +41,17 @@ def start_petsc(
 def _provenance(
     loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str], revision: Callable[[], str]
 ) -> dict[str, Any]:
+    physical = {}
+    if loaded.case.units is not None:
+        scales = loaded.case.units.scales
+        physical = {"units": scales.given, "scales": scales.table() | scales.numbers}
     return {
         "title": loaded.case.title,
         "case_file": str(loaded.path),
         "case": loaded.document.text,
         "overrides": json.dumps(list(loaded.document.overrides.values())),
         "resolved_case": json.dumps(loaded.resolved()),
-        **_scales(loaded),
+        **physical,
         "version": __version__,
         "git_revision": revision(),
         "python": platform.python_version(),
@@ -60,14 +64,6 @@ def _provenance(
         "host": platform.node(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def _scales(loaded: LoadedCase) -> dict[str, Any]:
-    """The physical scales of a case that gives units, and the numbers that follow from them."""
-    if loaded.case.units is None:
-        return {}
-    scales = loaded.case.units.scales
-    return {"units": scales.given, "scales": scales.table() | scales.numbers}
 
 
 def machine() -> str:

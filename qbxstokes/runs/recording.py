@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
@@ -24,8 +23,7 @@ from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.simulation.compare import orbit_drift
 from qbxstokes.simulation.event_watch import split_columns
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 SAMPLES, ROWS = "samples", "rows"
 STATE = "|integrator|state"  # the dataset of a part that holds the checkpoint's state

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.rheology import ISOTROPIC, RheologySection
@@ -27,11 +26,11 @@ from qbxstokes.simulation.rheology import Rheology, rheology
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.suspension.langevin import FUNCTIONS, Ensemble, Sums
 from qbxstokes.tables import TableError, read_table
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
-Array = NDArray[np.float64]
 
 # Keys of a case that Python names otherwise.
 _KEYS = {"flow": "flow", "stokes_number": "body.stokes_number"} | {
@@ -84,7 +83,10 @@ def _computed(
         own = np.array(found.summary["stresslet_numbers"])
         errors["stresslet"] = float(np.max(np.abs(own / exact - 1.0)))
         references["stresslet"] = "Jeffery, Kim and Karrila"
-    arrays = found.arrays() | _cycle(found)
+    arrays, cycle = found.arrays(), found.summary["frequency"]
+    if cycle is not None and found.time is not None:  # for Lissajous curves
+        arrays["strain"] = np.sin(cycle * found.time) / cycle
+        arrays["strain_rate"] = np.cos(cycle * found.time)
     if isinstance(found, Rheology):
         arrays |= _distributions(found, section)
     if found.time is not None:
@@ -224,11 +226,3 @@ def _distributions(found: Rheology, section: RheologySection) -> dict[str, Array
         drawn = [none if d is None else d.sample(section.samples, section.seed) for d in densities]
         arrays["samples"] = np.stack(drawn)
     return arrays
-
-
-def _cycle(found: Rheology | BrownianAverages) -> dict[str, Array]:
-    """Strain and its rate at the instants of an oscillation, for Lissajous curves."""
-    cycle = found.summary["frequency"]
-    if cycle is None or found.time is None:
-        return {}
-    return {"strain": np.sin(cycle * found.time) / cycle, "strain_rate": np.cos(cycle * found.time)}

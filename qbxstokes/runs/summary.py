@@ -45,11 +45,13 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
     if times.get("comparison", 0.0) > max(_LONG, times.get("motion", inf)):
         spent += " (`compare: {reference: none}` leaves it out)"
+    suspension = summary.get("suspension")
+    found = _law(summary) if suspension is None else _suspension(suspension)
     estimated = loaded.case.coupled and not of_field
     sections: dict[str, Rows] = {
         "Scene": scene(loaded, plan),
         "Solved": _field_solved(summary) if of_field else _solved(summary),
-        "Found": _found(summary),
+        "Found": _seen(summary) if "events" in summary else found,
         "Estimated errors" if estimated else "Errors": _errors(summary),
         "Skipped": () if of_field else listed(plan.skips),
         "Times": [("total", duration(times["total"])), ("parts", spent)],
@@ -143,13 +145,6 @@ def _grids(nodes: list[int]) -> str:
 def _points(points: Mapping[str, int]) -> str:
     """How many points of a field were evaluated in which way."""
     return ", ".join(f"{count} {name}" for name, count in points.items() if count) or "no points"
-
-
-def _found(summary: dict[str, Any]) -> Rows:
-    """What came out."""
-    if "suspension" in summary:
-        return _suspension(summary["suspension"])
-    return _seen(summary) if "events" in summary else _law(summary)
 
 
 def _suspension(found: Mapping[str, Any]) -> Rows:

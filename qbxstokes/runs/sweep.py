@@ -15,10 +15,9 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep_result as store
 from qbxstokes.io.listing import unknown
-from qbxstokes.io.names import check_writable
 from qbxstokes.io.results import load, shows_parts
-from qbxstokes.io.store import Work, holds_work, open_work, reopen
-from qbxstokes.runs.destination import finished_result, identity_of, result_path
+from qbxstokes.io.store import Work, open_work, reopen
+from qbxstokes.runs.destination import identity_of, result_path, working_folder
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
 from qbxstokes.runs.interrupt import interrupted
 from qbxstokes.runs.parallel import HandOut, on_root
@@ -88,28 +87,54 @@ def run_sweep(job: Job) -> dict[str, Any]:
     loaded = job.loaded
     scenes = swept_scenes(loaded)
     seconds_between(loaded)
-    layout = layout_of(scenes)
+    layout, merge = layout_of(scenes), loaded.case.output.merge
     cut = [scenes.block_size, scenes.blocks]
     identity = identity_of(loaded, stepper_options(job.PETSc), blocks=cut)
-    opening = Opening(scenes, layout, identity, job.options.resume, job.overwrite)
-    with job.clock.part("output"):
-        plan, todo, complete = on_root(job.comm, opening.open)
-    if complete is not None:
-        return {"result": str(complete), "complete": True, "failed": 0}
-    try:
-        return _computed(job, scenes, layout, opening, plan, todo)
-    except BaseException:
-        opening.close()
-        raise
+
+    def left(work: Work) -> Todo:
+        store.check_room(work.target, layout, merge)
+        todo = todo_of(scenes, work, failures_of(scenes, work.target) if work.mends else None)
+        todo.merges = work.mends or merge
+        return todo
+
+    def reopened(done: Path) -> Work | None:
+        if shows_parts(done):  # its parts are all there is: what they lack is to be done
+            lacking = todo_of(scenes, Work(done, {}, 2), None).numbers
+            return reopen(done, identity) if lacking or merge else None
+        if not failures_of(scenes, done).mend:
+            return None
+        work = open_work(done, identity, overwrite=True)  # which stays until a better one is there
+        work.mends = True
+        return work
+
+    with working_folder(job, identity, left, reopened) as (work, found):
+        if work is None:
+            return {"result": str(found), "complete": True, "failed": 0}
+        return _computed(job, scenes, layout, work, found)
+
+
+def failures_of(scenes: Swept, result: Path) -> Todo:
+    """What a finished result leaves to do."""
+    todo = Todo([])
+    with store.reading(result) as file:
+        for number in range(scenes.blocks):
+            index = np.sort(scenes.block(number).index)
+            table = file["table"][index]
+            lost = table["status"] != store.DONE
+            todo.failed[number] = {
+                int(i): reason.decode()
+                for i, reason in zip(index[lost], table["reason"][lost], strict=True)
+            }
+            todo.done += len(index) - int(lost.sum())
+    todo.mend = {number: sorted(failed) for number, failed in todo.failed.items() if failed}
+    return todo
 
 
 def _computed(
-    job: Job, scenes: Swept, layout: store.Layout, opening: Opening, plan: Work, todo: Todo
+    job: Job, scenes: Swept, layout: store.Layout, work: Work, todo: Todo
 ) -> dict[str, Any]:
     """What is to be done, done by all ranks and merged by rank 0."""
     comm, options, clock = job.comm, job.options, job.clock
-    work = plan.joined(comm.rank) if comm.rank else opening.work
-    assert work is not None
     gathering = Gathering(comm, work, BLOCKS, joined=True, every=seconds_between(scenes.loaded))
     counters = HandOut(comm)
     speak = comm.rank == 0 and not options.quiet and options.progress != "none"
@@ -135,109 +160,28 @@ def _computed(
         progress.close(todo.done + counters.read(HandOut.DONE), failed)
     counters.wait()
     counters.close()
-    about = {"identity": json.dumps(plan.identity), "shape": list(scenes.space.shape)}
+    about = {"identity": json.dumps(work.identity), "shape": list(scenes.space.shape)}
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
         if not todo.merges:
             gathering.save()
         if comm.rank:
             list(gathering.collect())
-        told, merges = job.provenance | about, todo.merges
-        return on_root(
-            comm,
-            lambda: _finished(scenes, layout, gathering, opening, told, merges, elapsed, comm.size),
-        )
-
-
-class Opening:
-    """Finds out on rank 0 what there is to do, and holds the working folder.
-
-    base: a finished result whose failures are to be mended, which stays until a better one is
-    there.
-    """
-
-    def __init__(
-        self,
-        scenes: Swept,
-        layout: store.Layout,
-        identity: dict[str, Any],
-        resume: bool,
-        overwrite: bool,
-    ) -> None:
-        self._scenes, self._layout, self._identity = scenes, layout, identity
-        self._resume, self.overwrite = resume, overwrite
-        self.work: Work | None = None
-        self.base: Path | None = None
-
-    def open(self) -> tuple[Work, Todo, Path | None]:
-        """The folder for the other ranks, what is to be done, and a result without failures."""
-        asked, resume = result_path(self._scenes.loaded), self._resume
-        check_writable(asked, self.overwrite)
-        store.check_room(asked, self._layout, self._scenes.loaded.case.output.merge)
-        done = None
-        if resume and not self.overwrite:
-            done = finished_result(self._scenes.loaded, self._identity)
-        if done is None:
-            work = open_work(asked, self._identity, resume=resume, overwrite=self.overwrite)
-            self.base = work.target if work.mends else None
-        elif shows_parts(done):  # its parts are all there is: what they lack is to be done
-            todo = todo_of(self._scenes, Work(done, {}, 2), None)
-            if not todo.numbers and not self._scenes.loaded.case.output.merge:
-                return Work(done, {}, 1), todo, done
-            work = reopen(done, self._identity)
-        else:
-            self.base = done
-            todo = self.failures()
-            if not todo.mend:
-                return Work(done, {}, 1), todo, done
-            work = open_work(done, self._identity, overwrite=True)
-            work.mends = True
-        self.work = work
-        try:
-            todo = todo_of(self._scenes, work, self.failures() if self.base else None)
-            todo.merges = self.base is not None or self._scenes.loaded.case.output.merge
-            work.note_run()
-        except BaseException:
-            self.close()
-            raise
-        return work.joined(0), todo, None
-
-    def close(self, remove: bool = False) -> None:
-        """Let go of the folder, which goes as well where nothing is in it."""
-        if self.work is not None:
-            self.work.close(remove=remove or not holds_work(self.work.folder))
-
-    def failures(self) -> Todo:
-        """What the finished result leaves to do."""
-        assert self.base is not None
-        todo = Todo([])
-        with store.reading(self.base) as file:
-            for number in range(self._scenes.blocks):
-                index = np.sort(self._scenes.block(number).index)
-                table = file["table"][index]
-                lost = table["status"] != store.DONE
-                todo.failed[number] = {
-                    int(i): reason.decode()
-                    for i, reason in zip(index[lost], table["reason"][lost], strict=True)
-                }
-                todo.done += len(index) - int(lost.sum())
-        todo.mend = {number: sorted(failed) for number, failed in todo.failed.items() if failed}
-        return todo
+        told = scenes, layout, gathering, job.provenance | about, todo.merges, elapsed, comm.size
+        return on_root(comm, lambda: _finished(*told))
 
 
 def _finished(
     scenes: Swept,
     layout: store.Layout,
     gathering: Gathering,
-    opening: Opening,
     provenance: dict[str, Any],
     merges: bool,
     elapsed: float,
     ranks: int,
 ) -> dict[str, Any]:
     """On rank 0: the result under its name, with all rows or showing the parts; the summary."""
-    work, found = opening.work, Todo([])
-    assert work is not None
+    work, found = gathering.work, Todo([])
     if not merges:
         gathering.drain()  # the other ranks have made safe what they had
     try:
@@ -245,36 +189,31 @@ def _finished(
         scales = scales_of(scenes, layout)
         with store.SweepWriter(work, layout, provenance, scales, shown) as whole:
             if merges:
-                found = _merge(scenes, layout, whole, gathering, opening)
+                found = _merge(scenes, layout, whole, gathering)
             numbers, told = _sum_up(scenes, found, elapsed, ranks)
             whole.finish({"complete": True, **numbers})
     finally:
         gathering.drain()
     summary = {"result": str(work.target), "complete": False, **numbers, **told}
     if merges:
-        opening.close(remove=True)
         return summary
     for state in work.parts("state"):
         state.unlink(missing_ok=True)
     work.note_run(finished=True)
-    work.close()
     return {**summary, "parts": str(work.folder)}
 
 
 def _merge(
-    scenes: Swept,
-    layout: store.Layout,
-    whole: store.SweepWriter,
-    gathering: Gathering,
-    opening: Opening,
+    scenes: Swept, layout: store.Layout, whole: store.SweepWriter, gathering: Gathering
 ) -> Todo:
     """Put the rows of all ranks, and those of a result that is mended, into the file."""
     found = Todo([])
-    if opening.base is not None:
-        found = opening.failures()
+    base = gathering.work.target
+    if gathering.work.mends:
+        found = failures_of(scenes, base)
         names = ["table", *layout.quantities]
         names += ["time"] if layout.quantities and layout.times is None else []
-        with store.reading(opening.base) as old:
+        with store.reading(base) as old:
             for number in range(scenes.blocks):
                 index = np.sort(scenes.block(number).index)
                 whole.write_rows(index, {name: old[name][index] for name in names})

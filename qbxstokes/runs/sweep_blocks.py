@@ -28,8 +28,7 @@ from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
 from qbxstokes.simulation.from_case import samples_of
-
-Indices = NDArray[np.int64]
+from qbxstokes.typing import Array, Integers
 
 STOKES: Key = ("body", "stokes_number")
 _POSITION: Key = ("start", "position")
@@ -62,10 +61,10 @@ class Block:
     """Trajectories integrated together: pieces of one scene or of several."""
 
     number: int
-    pieces: tuple[tuple[int, Indices], ...]
+    pieces: tuple[tuple[int, Integers], ...]
 
     @property
-    def index(self) -> Indices:
+    def index(self) -> Integers:
         """Numbers of all its trajectories, piece after piece."""
         return np.concatenate([index for _, index in self.pieces])
 
@@ -79,7 +78,7 @@ class Alone:
     nouns = "scene", "scenes"
     alone, block_size, turns = True, 1, 1
     samples = 0
-    common_times: NDArray[np.float64] | None = None
+    common_times: Array | None = None
     quantities: tuple[str, ...] = ()
     columns: dict[str, Quantity]
     skips: tuple[str, ...]  # what is left out and why, as far as the first tells for all
@@ -93,7 +92,7 @@ class Alone:
         """A block by its number."""
         return Block(number, ((number, np.array([number])),))
 
-    def block_sizes(self) -> Indices:
+    def block_sizes(self) -> Integers:
         """Scenes per block."""
         return np.ones(self.size, dtype=np.int64)
 
@@ -145,7 +144,7 @@ class Scenes:
         return count
 
     @cached_property
-    def sizes(self) -> Indices:
+    def sizes(self) -> Integers:
         """Trajectories per scene."""
         sizes = np.ones((), dtype=np.int64)
         for classes in self._classes:
@@ -153,7 +152,7 @@ class Scenes:
         return sizes.ravel()
 
     @cached_property
-    def _first_block(self) -> Indices:
+    def _first_block(self) -> Integers:
         """First block of each scene that fills blocks of its own, and the end of all those."""
         own = np.where(self._alone, -(-self.sizes // self.block_size), 0)
         return np.concatenate([[0], np.cumsum(own)])
@@ -189,7 +188,7 @@ class Scenes:
         stop = min(start + self.block_size, int(self.sizes[scene]))
         return Block(number, ((scene, self._members(scene, start, stop)),))
 
-    def block_sizes(self) -> Indices:
+    def block_sizes(self) -> Integers:
         """Trajectories per block."""
         counts = np.diff(self._first_block)
         own = np.full(int(self._first_block[-1]), self.block_size, dtype=np.int64)
@@ -199,7 +198,7 @@ class Scenes:
         gathered = [int(self.sizes[scenes].sum()) for scenes in self._gathered]
         return np.concatenate([own, np.array(gathered, dtype=np.int64)])
 
-    def scene_of_block(self) -> Indices:
+    def scene_of_block(self) -> Integers:
         """First scene of every block."""
         own = np.repeat(np.arange(self.size), np.diff(self._first_block))
         first = np.array([scenes[0] for scenes in self._gathered], dtype=np.int64)
@@ -211,7 +210,7 @@ class Scenes:
             return self._gathered[gathered]
         return [int(np.searchsorted(self._first_block, number, side="right")) - 1]
 
-    def _members(self, scene: int, start: int, stop: int) -> Indices:
+    def _members(self, scene: int, start: int, stop: int) -> Integers:
         """Numbers of the trajectories [start, stop) of a scene."""
         chosen = self._chosen(scene)
         local = np.unravel_index(np.arange(start, stop), tuple(len(points) for points in chosen))
@@ -226,7 +225,7 @@ class Scenes:
         places = np.unravel_index(scene, self.shape)
         return [classes[place] for classes, place in zip(self._classes, places, strict=True)]
 
-    def first_members(self, scene: int) -> Indices:
+    def first_members(self, scene: int) -> Integers:
         """Numbers of the trajectories of a scene's first block."""
         return self._members(scene, 0, min(self.block_size, int(self.sizes[scene])))
 
@@ -251,7 +250,7 @@ class Scenes:
         return self.scene(0).plan.quantities if section.store == "samples" else ()
 
     @property
-    def common_times(self) -> NDArray[np.float64] | None:
+    def common_times(self) -> Array | None:
         """The instants of all trajectories, None where scenes have their own."""
         time = self._time
         changing = {"time"} if time.periods is None else {"time", "flow", "start", *SHAPE_KEYS}
@@ -313,7 +312,7 @@ class Scenes:
         return [np.array(members) for members in groups.values()]
 
     @staticmethod
-    def _labels(column: Column, points: Indices) -> list[str]:
+    def _labels(column: Column, points: Integers) -> list[str]:
         """What tells the values of a column apart as scenes."""
         values = column.take(points)
         if column.key == STOKES:
@@ -332,7 +331,7 @@ class Scenes:
     # -- which scenes may share a block -------------------------------------------------------
 
     @cached_property
-    def _companies(self) -> Indices:
+    def _companies(self) -> Integers:
         """Of every scene the number of those it may share a block with, -1 for none."""
         scene = self.scene(0)
         if scene.plan.simulation.kind != "table":
@@ -340,8 +339,8 @@ class Scenes:
         return self._alike(self._makes_scene, self._company_labels)
 
     def _alike(
-        self, counts: Callable[[Column], bool], labels: Callable[[Column, Indices], list[str]]
-    ) -> Indices:
+        self, counts: Callable[[Column], bool], labels: Callable[[Column, Integers], list[str]]
+    ) -> Integers:
         """Of every scene a number, the same where the labels of all columns that count are."""
         per_axis = []
         for axis, classes in zip(self.space.axes, self._classes, strict=True):
@@ -354,7 +353,7 @@ class Scenes:
         grids = np.meshgrid(*per_axis, indexing="ij")
         return np.asarray(np.ravel_multi_index(tuple(grid.ravel() for grid in grids), sizes))
 
-    def _company_labels(self, column: Column, points: Indices) -> list[str]:
+    def _company_labels(self, column: Column, points: Integers) -> list[str]:
         """What tells the values of a column apart where trajectories are to share a block."""
         key = column.key
         own_times = self._time.periods is not None and key[0] in ("flow", "start", "body")
@@ -372,7 +371,7 @@ class Scenes:
     # -- bodies ---------------------------------------------------------------------------------
 
     @cached_property
-    def bodies(self) -> tuple[Indices, list[int]]:
+    def bodies(self) -> tuple[Integers, list[int]]:
         """Body of every scene, and a scene for each body.
 
         Scenes with the same body share one operator: same shape, discretisation and kind of flow.

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import column_name
@@ -16,8 +15,7 @@ from qbxstokes.io.sweep_result import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, COUPLED_COLUMNS, PARAMETER, STATUS, Quantity
 from qbxstokes.runs.plan import CoupledPlan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_blocks import Alone, Scenes
-
-Array = NDArray[Any]
+from qbxstokes.typing import AnyArray
 
 _COORDINATE_PIECE = 65_536
 # Vectors of every body that shares a fluid, of `task: body` where something drives them.
@@ -124,7 +122,7 @@ def _coordinate_types(scenes: Swept) -> dict[str, Any]:
     return types
 
 
-def _columns(key: Key, values: Array) -> dict[str, Array]:
+def _columns(key: Key, values: AnyArray) -> dict[str, AnyArray]:
     """Values (n,) of a key as a column, vectors as one per component; quaternions from 0 on."""
     name = column_name(key)
     if values.ndim == 1:
@@ -138,9 +136,9 @@ def _word(value: Any) -> bytes:
     return text.encode("ascii", "backslashreplace")
 
 
-def coordinates_of(scenes: Swept, index: Array) -> dict[str, Array]:
+def coordinates_of(scenes: Swept, index: AnyArray) -> dict[str, AnyArray]:
     """Swept values of some trajectories as columns."""
-    columns: dict[str, Array] = {}
+    columns: dict[str, AnyArray] = {}
     numeric = {column.key: column.numeric for _, column in scenes.space.columns}
     for key, values in scenes.space.values(index).items():
         words = values if numeric[key] else np.array([_word(value) for value in values.tolist()])
@@ -148,7 +146,7 @@ def coordinates_of(scenes: Swept, index: Array) -> dict[str, Array]:
     return columns
 
 
-def scales_of(scenes: Swept, layout: Layout) -> Iterator[tuple[int, dict[str, Array]]]:
+def scales_of(scenes: Swept, layout: Layout) -> Iterator[tuple[int, dict[str, AnyArray]]]:
     """The scales of the file in pieces."""
     for first in range(0, layout.size, _COORDINATE_PIECE):
         index = np.arange(first, min(first + _COORDINATE_PIECE, layout.size))

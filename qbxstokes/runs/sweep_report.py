@@ -21,17 +21,13 @@ _MOST_NUMBERS = 10**8  # of which means are formed when a sweep ends
 
 def _axes(scenes: Swept) -> Rows:
     for columns in scenes.space.axes:
-        names = ", ".join(column_name(column.key) for column in columns)
-        yield names, f"{counted(columns[0].size, 'value')}{_range(columns[0])}"
-
-
-def _range(column: Any) -> str:
-    if column.kind:
-        return f", random ({column.kind}, seed {column.seed})"
-    if column.numeric and column.values.ndim == 1:
-        ends = (float(column.values.min()), float(column.values.max()))
-        return f" from {quantity(ends[0])} to {quantity(ends[1])}"
-    return ""
+        first, told = columns[0], counted(columns[0].size, "value")
+        if first.values is None:
+            told += f", random ({first.kind}, seed {first.seed})"
+        elif first.numeric and first.values.ndim == 1:
+            low, high = float(first.values.min()), float(first.values.max())
+            told += f" from {quantity(low)} to {quantity(high)}"
+        yield ", ".join(column_name(column.key) for column in columns), told
 
 
 def plan_text(scenes: Swept, layout: Layout, estimate: Estimate, target: Any, ranks: int) -> str:

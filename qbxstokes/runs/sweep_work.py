@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.io.cache import Cache, open_cache
@@ -31,8 +30,7 @@ from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import body_of, pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.simulation import Simulation
-
-Array = NDArray[Any]
+from qbxstokes.typing import AnyArray
 
 BLOCKS = "blocks"  # the parts of a sweep
 _PATIENCE = 1.0  # seconds between what is said of the bodies
@@ -191,7 +189,7 @@ def work_on_blocks(
         team.poke()
 
 
-def _order(scenes: Swept, todo: Todo, work: Work) -> tuple[list[int], Array]:
+def _order(scenes: Swept, todo: Todo, work: Work) -> tuple[list[int], AnyArray]:
     """Blocks in the order of handing out, and what each costs.
 
     Those first that an earlier run was at work on, then the costliest, so that ranks end together.
@@ -212,7 +210,7 @@ def _order(scenes: Swept, todo: Todo, work: Work) -> tuple[list[int], Array]:
 class _Computed:
     """What was computed of the trajectories `index` of a block, of which the last were lost."""
 
-    index: Array
+    index: AnyArray
     result: block.BlockResult
     lost: dict[int, str]
 
@@ -236,7 +234,7 @@ class _Computed:
             "nearest": result.nearest,
         }
 
-    def rows(self, scenes: Swept, layout: Layout) -> dict[str, Array]:
+    def rows(self, scenes: Swept, layout: Layout) -> dict[str, AnyArray]:
         """The rows of the file."""
         n, well, result = len(self.index), self.well, self.result
         table = np.zeros(n, dtype=layout.dtype)
@@ -250,7 +248,7 @@ class _Computed:
         table["status"][list(result.failed)] = FAILED
         for i, reason in (result.endings | result.failed).items():
             table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
-        rows: dict[str, Array] = {"index": self.index, "table": table}
+        rows: dict[str, AnyArray] = {"index": self.index, "table": table}
         for name in layout.quantities:
             rows[name] = np.full((n, layout.samples, *layout.about(name).shape), np.nan)
             rows[name][:well] = result.quantities[name]
@@ -294,7 +292,7 @@ class _Together:
         sweep = scenes.loaded.case.sweep
         assert sweep is not None
         simulations: list[Simulation] = []
-        sound: list[Array] = []
+        sound: list[AnyArray] = []
         lost: dict[int, str] = {}
         times = np.full(layout.samples, np.nan)
         for scene, members in scenes.block(number).pieces:
@@ -321,7 +319,7 @@ class _Together:
         )
         return _Computed(index, result, lost)
 
-    def _simulation(self, number: int, index: Array) -> Simulation:
+    def _simulation(self, number: int, index: AnyArray) -> Simulation:
         """Some trajectories of a scene as the lanes of a simulation."""
         body = int(self._body[number])
         if body in self._models.errors:
