@@ -147,3 +147,14 @@ def read_tree(group: h5py.Group) -> dict[str, Any]:
             else:
                 tree[name] = value
     return tree
+
+
+def first_difference(one: Any, other: Any, prefix: str = "") -> str | None:
+    """Dotted key of the first difference of two nested dictionaries."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for key in dict.fromkeys([*one, *other]):
+            found = first_difference(one.get(key), other.get(key), f"{prefix}{key}.")
+            if found is not None:
+                return found
+        return None
+    return None if one == other else prefix.rstrip(".")

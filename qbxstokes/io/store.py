@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from qbxstokes.errors import CaseError, OutputError
+from qbxstokes.io.format import first_difference
 from qbxstokes.io.names import numbered, parts_of
 from qbxstokes.io.results import shows_parts
 from qbxstokes.typing import AnyArray
@@ -397,14 +398,3 @@ def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
         path.unlink(missing_ok=True)
     work.note_run()  # parts of every run have names of their own
     return work
-
-
-def first_difference(one: Any, other: Any, prefix: str = "") -> str | None:
-    """Dotted key of the first difference of two nested dictionaries."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for key in dict.fromkeys([*one, *other]):
-            found = first_difference(one.get(key), other.get(key), f"{prefix}{key}.")
-            if found is not None:
-                return found
-        return None
-    return None if one == other else prefix.rstrip(".")

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
+from qbxstokes.io.format import first_difference
 from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
 from qbxstokes.io.store import (
     NUMBERED,
     Work,
-    first_difference,
     free_name,
     holds_work,
     open_work,
