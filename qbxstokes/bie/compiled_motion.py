@@ -39,23 +39,30 @@ def on_grid(
 
 
 @inner
+def sizes_of(u: Any) -> Any:
+    """`resolution.flow_sizes` of a flow (N, 3)."""
+    mean, largest, variation = np.zeros(3), 0.0, 0.0
+    for i in range(len(u)):
+        for j in range(3):
+            mean[j] += u[i, j] / len(u)
+    for i in range(len(u)):
+        speed, off = 0.0, 0.0
+        for j in range(3):
+            speed += u[i, j] ** 2
+            off += (u[i, j] - mean[j]) ** 2
+        largest, variation = max(largest, speed), max(variation, off)
+    return math.sqrt(largest), math.sqrt(variation)
+
+
+@inner
 def sampled(
     point: Any, t: float, x: Any, rotation: Any, points: Any, weights: Any, out: Any, sizes: Any
 ) -> None:
     """Free motions (n, 6) in the body frame and `resolution.flow_sizes` (2, n)."""
-    u, mean = np.empty((len(points), 3)), np.empty(3)
+    u = np.empty((len(points), 3))
     for b in range(len(x)):
         on_grid(point, t, x[b], rotation[b], points, weights, u, out[b])
-        largest, variation = 0.0, 0.0
-        for j in range(3):
-            mean[j] = np.mean(u[:, j])
-        for i in range(len(points)):
-            speed, off = 0.0, 0.0
-            for j in range(3):
-                speed += u[i, j] ** 2
-                off += (u[i, j] - mean[j]) ** 2
-            largest, variation = max(largest, speed), max(variation, off)
-        sizes[0, b], sizes[1, b] = math.sqrt(largest), math.sqrt(variation)
+        sizes[0, b], sizes[1, b] = sizes_of(u)
 
 
 @inner
@@ -72,8 +79,42 @@ def turn_of(q: Any, r: Any) -> None:
 
 
 @inner
-def massless_rates(point: Any, t: float, y: Any, points: Any, weights: Any, out: Any) -> bool:
-    """dy/dt (7, n) of massless bodies (7, n); whether all are numbers."""
+def excess_of(
+    point: Any, t: float, x: Any, q: Any, fine: Any, coarse: Any, radius: float, limits: Any
+) -> Any:
+    """`MonitoredGridMotion._excess` of bodies at x (n, 3), q (n, 4) on two grids.
+
+    limits: what U and Omega may miss, and how much of their sizes.
+    """
+    r, u, worst, place = np.empty((3, 3)), np.empty((len(fine[0]), 3)), 0.0, 0
+    good, rough = np.empty(6), np.empty(6)
+    for b in range(len(x)):
+        turn_of(q[b], r)
+        on_grid(point, t, x[b], r, coarse[0], coarse[1], u, rough)
+        on_grid(point, t, x[b], r, fine[0], fine[1], u, good)
+        largest, variation = sizes_of(u)
+        least = 0.01 * largest, 0.01 * variation / radius
+        for part in range(2):
+            size, off = 0.0, 0.0
+            for j in range(3 * part, 3 * part + 3):
+                size += good[j] ** 2
+                off += (good[j] - rough[j]) ** 2
+            size = max(math.sqrt(size), least[part])
+            off = max(0.0, math.sqrt(off) - 1e4 * least[0] * 2.0**-52)
+            allowed = max(limits[part], limits[2] * size)
+            if off > worst * allowed:
+                worst, place = off / allowed if allowed > 0.0 else off, b
+    return worst, place
+
+
+@inner
+def rates_of(
+    point: Any, t: float, y: Any, points: Any, weights: Any, body: Any, inertial: bool, out: Any
+) -> bool:
+    """dy/dt of bodies in states y (7 or 13, n); whether all are numbers.
+
+    body (21, n): see `RigidBodyEquations.function_rows`.
+    """
     r, u, motion = np.empty((3, 3)), np.empty((len(points), 3)), np.empty(6)
     x, q, good = np.empty(3), np.empty(4), True
     for b in range(y.shape[1]):
@@ -83,31 +124,57 @@ def massless_rates(point: Any, t: float, y: Any, points: Any, weights: Any, out:
             q[j] = y[3 + j, b]
         turn_of(q, r)
         on_grid(point, t, x, r, points, weights, u, motion)
-        v1, v2, v3 = motion[0], motion[1], motion[2]
-        w1, w2, w3 = 0.5 * motion[3], 0.5 * motion[4], 0.5 * motion[5]
-        for j in range(3):
-            out[j, b] = r[j, 0] * v1 + r[j, 1] * v2 + r[j, 2] * v3
-        out[3, b] = -(w1 * q[1] + w2 * q[2] + w3 * q[3])
-        out[4, b] = w1 * q[0] + w3 * q[2] - w2 * q[3]
-        out[5, b] = w2 * q[0] + w1 * q[3] - w3 * q[1]
-        out[6, b] = w3 * q[0] + w2 * q[1] - w1 * q[2]
-        good = good and math.isfinite(v1 + v2 + v3 + w1 + w2 + w3)
+        for j in range(6):  # force or torque, in space and in the body, over the resistance
+            first, along = (0, j) if j < 3 else (6, j - 3)
+            push = body[9 + first + 3 + along, b]
+            for i in range(3):
+                push += r[i, along] * body[9 + first + i, b]
+            motion[j] += body[4 + first // 3 + along // 2, b] * push
+        if inertial:
+            w1, w2, w3 = y[10, b], y[11, b], y[12, b]
+            for j in range(3):
+                slip = motion[j]
+                for i in range(3):
+                    slip -= r[i, j] * y[7 + i, b]
+                motion[j] = body[j // 2, b] * slip
+            for j in range(3):
+                out[j, b] = y[7 + j, b]
+                out[7 + j, b] = r[j, 0] * motion[0] + r[j, 1] * motion[1] + r[j, 2] * motion[2]
+            spin = body[8, b] * w3
+            out[10, b] = body[2, b] * (motion[3] - w1) - spin * w2
+            out[11, b] = body[2, b] * (motion[4] - w2) + spin * w1
+            out[12, b] = body[3, b] * (motion[5] - w3)
+        else:
+            w1, w2, w3 = motion[3], motion[4], motion[5]
+            for j in range(3):
+                out[j, b] = r[j, 0] * motion[0] + r[j, 1] * motion[1] + r[j, 2] * motion[2]
+        out[3, b] = -0.5 * (w1 * q[1] + w2 * q[2] + w3 * q[3])
+        out[4, b] = 0.5 * (w1 * q[0] + w3 * q[2] - w2 * q[3])
+        out[5, b] = 0.5 * (w2 * q[0] + w1 * q[3] - w3 * q[1])
+        out[6, b] = 0.5 * (w3 * q[0] + w2 * q[1] - w1 * q[2])
+        good = good and math.isfinite(np.sum(motion))
     return good
 
 
 @cache
-def _sampled_in(point: Any) -> Any:
-    """`sampled` in one flow, which numba need not be told at every call."""
+def _in_flow(point: Any) -> Any:
+    """`sampled` and `excess_of` in one flow, which numba need not be told at every call."""
 
     @inner
-    def run(t: float, x: Any, r: Any, points: Any, weights: Any, out: Any, sizes: Any) -> None:
+    def sample(t: float, x: Any, r: Any, points: Any, weights: Any, out: Any, sizes: Any) -> None:
         sampled(point, t, x, r, points, weights, out, sizes)
 
-    return run
+    @inner
+    def excess(t: float, x: Any, q: Any, fine: Any, coarse: Any, r: float, limits: Any) -> Any:
+        return excess_of(point, t, x, q, fine, coarse, r, limits)
+
+    return sample, excess
 
 
 class CompiledMotion(MonitoredGridMotion):
     """`MonitoredGridMotion` in a flow with a compiled `point_function`."""
+
+    _flow: Any
 
     @property
     def flow(self) -> Any:
@@ -115,13 +182,21 @@ class CompiledMotion(MonitoredGridMotion):
         return self._flow
 
     @property
-    def grid(self) -> tuple[Array, Array] | None:
+    def grid_of_run(self) -> tuple[Array, Array] | None:
         """Points and weights of the grid of a run, None outside of one."""
         return None if self._rung is None else self._on_rung(self._rung).grid
 
     def _sampled(self, grid: Any, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
-        flow: Any = self._flow
-        motion, sizes = np.empty((len(x), 6)), np.empty((2, len(x)))
-        run, now = _sampled_in(flow.point_function), flow.before_break(t)
+        flow, motion, sizes = self._flow, np.empty((len(x), 6)), np.empty((2, len(x)))
+        (run, _), now = _in_flow(flow.point_function), flow.before_break(t)
         run(now, x, rotation, *grid.grid, motion, sizes)
         return motion, sizes
+
+    def _excess(self, rung: int, t: float, x: Array, q: Array) -> tuple[float, int]:
+        _, run = _in_flow(self._flow.point_function)
+        limits = *self._allowed, self._tolerance
+        grids = self._on_rung(rung + 2).grid, self._on_rung(rung).grid
+        found: tuple[float, int] = run(
+            self._flow.before_break(t), x, q, *grids, self._functional.grid.shape.radius, limits
+        )
+        return found

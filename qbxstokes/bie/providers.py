@@ -229,8 +229,8 @@ class MonitoredGridMotion:
         self.finest = max(self.finest, self._rungs[self._rung])
 
     def _excess(self, rung: int, t: float, x: Array, q: Array) -> tuple[float, int]:
-        """What a grid misses at most over what it may, and of which body."""
-        rotation = matrix(q)
+        """What a grid misses at most over what it may, and of which body; q of any length."""
+        rotation = matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
         motion, sizes = self._sampled(self._on_rung(rung + 2), t, x, rotation)
         rough, _ = self._sampled(self._on_rung(rung), t, x, rotation)
         allowed = np.asarray(self._allowed) / self._tolerance

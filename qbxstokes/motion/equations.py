@@ -111,10 +111,21 @@ class RigidBodyEquations(Pieces):
         return None
 
     @property
-    def in_function(self) -> Any:
-        """Motion by a compiled flow on the grid of a run, where that is all; None elsewhere."""
-        found = self._provider if self._force_free else None
-        return found if getattr(found, "grid", None) is not None else None
+    def function_rows(self) -> tuple[Any, Array] | None:
+        """The motion in a compiled flow and rows (21, n) of the bodies, where these are all.
+
+        Relaxation rates and mobilities (4 each; zero where there are no loads), gyration, and the
+        loads (12) as in `driven_motion`.
+        """
+        free = self.constraints.free and self._follow is None and self._steady_loads
+        if not free or not hasattr(self._provider, "grid_of_run"):
+            return None
+        rows = np.zeros((21, self.n_lanes))
+        if not self.massless:
+            rows[:4], rows[8] = self._rates, self.bodies.gyration
+        if self._loads is not None:
+            rows[4:8], rows[9:] = 1.0 / self.bodies.resistance, self._loads.rows
+        return self._provider, rows
 
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""

@@ -1,4 +1,4 @@
-"""The right-hand side of massless bodies in a compiled flow as a C function that PETSc calls.
+"""The right-hand side of bodies in a compiled flow as a C function that PETSc calls.
 
 See `native`; the functional on the grid of the run (`bie.compiled_motion`) is all it takes.
 """
@@ -12,7 +12,8 @@ import numba
 import numpy as np
 from numba import carray
 
-from qbxstokes.bie.compiled_motion import CompiledMotion, massless_rates
+from qbxstokes.bie.compiled_motion import CompiledMotion, rates_of
+from qbxstokes.motion.layout import Layout
 from qbxstokes.petsc.native import (
     SIGNATURE,
     get_rate,
@@ -24,10 +25,10 @@ from qbxstokes.petsc.native import (
     restore_state,
 )
 
-_STATE = 7
-# Places in the constants: calls, bodies, whether some rate was no number; the instant up to which
-# the flow is asked, points of the grid, and the addresses of these and of their weights.
-_CALLS, _COLUMNS, _ASTRAY, _LAST, _POINTS, _WHERE, _WEIGHTS, _END = 0, 1, 2, 3, 4, 5, 6, 7
+# Places in the constants: calls, bodies, numbers of a state, whether some rate was no number; the
+# instant up to which the flow is asked, points of the grid, the addresses of these and of their
+# weights; and 21 rows of the bodies.
+_CALLS, _COLUMNS, _STATE, _ASTRAY, _LAST, _POINTS, _WHERE, _WEIGHTS, _BODY = range(9)
 
 
 @cache
@@ -46,8 +47,10 @@ def _compiled(point: Any) -> Any:
         n, nodes = int(constants[_COLUMNS]), int(constants[_POINTS])
         points = carray(pointer(int(constants[_WHERE])), (nodes, 3))
         weights = carray(pointer(int(constants[_WEIGHTS])), (nodes, 3, 6))
-        y, slope = carray(pointer(places[0]), (_STATE, n)), carray(pointer(places[1]), (_STATE, n))
-        if not massless_rates(point, min(t, constants[_LAST]), y, points, weights, slope):
+        size, now = int(constants[_STATE]), min(t, constants[_LAST])
+        y, slope = carray(pointer(places[0]), (size, n)), carray(pointer(places[1]), (size, n))
+        body = carray(constants, (_BODY + 21 * n,))[_BODY:].reshape(21, n)
+        if not rates_of(point, now, y, points, weights, body, size > 7, slope):
             constants[_ASTRAY] = 1.0
             slope[:] = 0.0  # whatever comes of it is taken back
         failed = restore_rate(out, places[1:].ctypes)
@@ -61,16 +64,16 @@ def _compiled(point: Any) -> Any:
 class NativeUser:
     """As `native.NativeRate`; it takes the grid that the motion is on at the time of a step."""
 
-    def __init__(self, motion: CompiledMotion, columns: int) -> None:
+    def __init__(self, motion: CompiledMotion, body: Any, layout: Layout) -> None:
         self._motion, self._flow = motion, motion.flow
-        self._constants = np.zeros(_END)
-        self._constants[_COLUMNS] = columns
+        self._constants = np.concatenate([np.zeros(_BODY), body.ravel()])
+        self._constants[_COLUMNS], self._constants[_STATE] = layout.columns, layout.n_state
         self._address = _compiled(motion.flow.point_function).address
 
     def prepare(self) -> None:
         """Before every step: the grid, and how far the flow may be asked."""
-        assert self._motion.grid is not None
-        c, (points, weights) = self._constants, self._motion.grid
+        assert self._motion.grid_of_run is not None
+        c, (points, weights) = self._constants, self._motion.grid_of_run
         c[_ASTRAY] = 0.0
         c[_LAST] = self._flow.before_break(np.inf)
         c[_POINTS], c[_WHERE], c[_WEIGHTS] = len(points), points.ctypes.data, weights.ctypes.data
@@ -91,6 +94,6 @@ class NativeUser:
         give(ts, work, self._address, self._constants)
 
 
-def native_user(motion: CompiledMotion, columns: int) -> NativeUser | None:
+def native_user(motion: CompiledMotion, body: Any, layout: Layout) -> NativeUser | None:
     """The right-hand side for PETSc, None where it has to go through Python."""
-    return None if library() is None else NativeUser(motion, columns)
+    return None if library() is None else NativeUser(motion, body, layout)

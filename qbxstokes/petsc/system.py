@@ -173,10 +173,11 @@ class System:
             from qbxstokes.petsc.native_wall import native_over_wall
 
             self.native = native_over_wall(*wall, self.counter)
-        elif self.native is None and (motion := self.equations.in_function) is not None:
-            from qbxstokes.petsc.native_user import native_user
+        elif self.native is None and (found := self.equations.function_rows) is not None:
+            if found[0].grid_of_run is not None:
+                from qbxstokes.petsc.native_user import native_user
 
-            self.native = self._function = native_user(motion, self.layout.columns)
+                self.native = self._function = native_user(*found, self.layout)
         elif self.native is None:
             block = self._moving.block_constants(self.expected)
             if block is not None:

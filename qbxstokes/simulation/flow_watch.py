@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian, seems_stokesian
-from qbxstokes.geometry import rotation
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.petsc.trajectory import Watch
 
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Accepted steps between looks at whether a flow is Stokesian.
-_STEPS_BETWEEN_CHECKS = 10
+# Accepted steps between looks at whether a flow is Stokesian, and how many of these in a run.
+_STEPS_BETWEEN_CHECKS, _MOST_LOOKS = 10, 50.0
 # Share of the tolerance of a run that the grid on the surface may take.
 _SHARE = 0.1
 
@@ -46,7 +45,7 @@ class FlowWatch(Watch):
                 allowed = _SHARE * part.tolerance / end
                 slower = allowed / max(k, 1.0 / k) ** 2 if k > 0.0 else 0.0
                 self._motions.append((formed.provider, lanes, (allowed, slower)))
-        self._count = 0
+        self._count, self._looks, self._looked, self._apart = 0, 0, 0.0, end / _MOST_LOOKS
 
     def until(self, t: float) -> None:
         """Let all flows show themselves as before the break t."""
@@ -66,19 +65,21 @@ class FlowWatch(Watch):
     def accept(self, t: float, states: Array) -> bool:
         """Whether a step that has ended in states (n, n_state) stands; raises FlowError."""
         self._count += 1
-        looked, step = divmod(self._count, _STEPS_BETWEEN_CHECKS)
+        due = self._count >= _STEPS_BETWEEN_CHECKS and t > self._looked + self._apart
+        if due:
+            self._count, self._looked, self._looks = 0, t, self._looks + 1
         for part, lanes in self._users:
             places = states[lanes, POSITION]
             if part.recognised is not None:
                 part.recognised.check(t, places, part.body.shape.radius)
-            if step == 0 or part.recognised is not None:
-                require_stokesian(part, places[looked % len(places)], t)
+            if due or part.recognised is not None:
+                require_stokesian(part, places[self._looks % len(places)], t)
         stands = [m.accept(t, *_places(states[lanes])) for m, lanes, _ in self._motions]
         return all(stands)
 
 
 def _places(states: Array) -> tuple[Array, Array]:
-    return states[:, POSITION], rotation.normalize(states[:, ORIENTATION])
+    return states[:, POSITION], states[:, ORIENTATION]
 
 
 def require_stokesian(part: Simulation, place: Array, t: float) -> None:
