@@ -154,7 +154,7 @@ def test_interpolation_converges_at_its_order() -> None:
         sizes = []
         for n in (101, 201):
             t = np.linspace(0.0, 10.0, n)
-            flow = qs.GradientSeries(t, [a(s) for s in t], interpolation=name).function()  # type: ignore[operator]
+            flow = qs.GradientSeries(t, [a(s) for s in t], interpolation=name)  # type: ignore[operator]
             places = np.linspace(2.003, 7.997, 300)
             sizes.append(max(np.abs(flow(s) - a(s)).max() for s in places))  # type: ignore[operator]
         errors[name] = np.log2(sizes[0] / sizes[1])
@@ -203,10 +203,10 @@ def test_dimensions_with_names_and_units_of_time(tmp_path: Path) -> None:
 def test_the_trace_is_projected_and_told() -> None:
     samples = np.tile(np.diag([1.0, 0.0, 0.2]), (8, 1, 1))
     series = qs.GradientSeries(np.arange(8.0), samples)
-    assert np.trace(series.function()(2.5)) == pytest.approx(0.0, abs=1e-15)
+    assert np.trace(series(2.5)) == pytest.approx(0.0, abs=1e-15)
     assert series.trace == pytest.approx(1.2)
     with pytest.raises(FlowError, match="trace"):
-        qs.GradientSeries(np.arange(8.0), samples, trace="error").function()
+        qs.GradientSeries(np.arange(8.0), samples, trace="error")(2.5)
 
 
 def test_a_case_takes_expressions() -> None:

@@ -114,7 +114,7 @@ def test_every_path_keeps_its_tolerance(interpolation: str, k: float) -> None:
     law = (1.0 - k * k) / (1.0 + k * k)
     series = qs.GradientSeries(times, a, interpolation=interpolation)
     for path in (0, 7):
-        gradient = series.path(path).function()
+        gradient = series.path(path)
 
         def rate(t: float, p: Array) -> Array:
             g = gradient(t)  # noqa: B023

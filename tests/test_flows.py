@@ -29,9 +29,8 @@ from qbxstokes.flows import (
     resolve_paths,
 )
 from qbxstokes.flows.differences import gradient_of, laplacian_of
-from qbxstokes.flows.polynomial import parse_monomial
 from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import rotation_matrix
+from qbxstokes.flows.values import parse_monomial, rotation_matrix
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 
@@ -487,7 +486,7 @@ def test_paths_of_user_functions_are_resolved_in_sums_too(tmp_path):
         ({"rate": 1.0}, "needs a key 'type'"),
         ([], "mapping"),
         ({"type": "shear", "rat": 1.0}, "no key 'rat'; did you mean 'rate'"),
-        ({"type": "shear", "rate": "fast"}, "rate must be a finite number, not 'fast'"),
+        ({"type": "shear", "rate": "fast"}, "rate must be a finite number.*, not 'fast'"),
         ({"type": "shear", "rate": float("nan")}, "finite"),
         ({"type": "shear", "rate": True}, "finite number, not True"),
         ({"type": "linear"}, "needs 'gradient'"),

@@ -306,7 +306,7 @@ def given(value: Any, name: str, key: Key = ()) -> Any:
         return [given(entry, name, (*key, number)) for number, entry in enumerate(value)]
     if hasattr(value, "spec"):
         return given(value.spec(), name, key)
-    if callable(getattr(value, "function", value)):  # itself, or a series that makes one
+    if callable(value):
         from qbxstokes.flows.user import hand_over
 
         return hand_over(value)

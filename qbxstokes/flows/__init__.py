@@ -1,13 +1,14 @@
 """Background flows: Stokes flows in which the body moves."""
 
 from qbxstokes.flows.base import Flow, SumFlow, add_flows
-from qbxstokes.flows.changing import LinearInTime
+from qbxstokes.flows.changing import ChangingFlow, linear_in_time
 from qbxstokes.flows.check import (
     StokesianReport,
     check_regular,
     check_singularities,
     check_stokesian,
 )
+from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.named import (
     Extension,
     Linear,
@@ -27,16 +28,17 @@ from qbxstokes.flows.user import UserFlow, resolve_paths
 
 __all__ = [
     "REGISTRY",
+    "ChangingFlow",
     "Extension",
     "Flow",
     "GradientSeries",
     "Linear",
-    "LinearInTime",
     "Paraboloid",
     "PlanePoiseuille",
     "PolynomialFlow",
     "Rotation",
     "Rotlet",
+    "Series",
     "Shear",
     "StokesianReport",
     "Stokeslet",
@@ -51,5 +53,6 @@ __all__ = [
     "check_regular",
     "check_singularities",
     "check_stokesian",
+    "linear_in_time",
     "resolve_paths",
 ]

@@ -36,6 +36,7 @@ class Flow(ABC):
     """
 
     type_name: ClassVar[str] = ""
+    linear_in: ClassVar[tuple[str, ...]] = ()  # keys whose numbers may change in time (`changing`)
     length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
     recognise: bool = True  # as a polynomial, where a function is one (`flows.recognition`)
     spacing: float = math.inf  # of instants between which the flow changes smoothly
@@ -97,6 +98,10 @@ class Flow(ABC):
         """
         return around(lambda y: self.velocity(y, t), x, 0.05 * self.difference_step(x), degree)
 
+    def gradients(self, x: Array, t: Array) -> Array:
+        """Velocity gradients (T, n, 3, 3) at points (n, 3) and instants (T,)."""
+        return np.stack([self.gradient(x, s) for s in t.tolist()])
+
     @property
     def polynomial(self) -> PolynomialFlow | None:
         """The same flow as one polynomial about the space origin, where it is one."""
@@ -155,6 +160,15 @@ class Flow(ABC):
             raise FlowError(f"flow {cls.type_name!r} needs {' and '.join(map(repr, missing))}")
         return cls(**{str(key): value for key, value in spec.items()})
 
+    @classmethod
+    def unchecked(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """The same without looking at whether it is a Stokes flow: one of several that add up."""
+        return cls.from_spec(spec, build)
+
+    def joined(self, other: Flow) -> Flow | None:
+        """The sum as one flow of this kind, where it is one."""
+        return None
+
     @abstractmethod
     def shifted(self, displacement: ArrayLike) -> Flow:
         """The whole flow moved: u'(x) = u(x - displacement)."""
@@ -166,6 +180,11 @@ class Flow(ABC):
     @abstractmethod
     def scaled(self, factor: float) -> Flow:
         """The flow times a number."""
+
+    @property
+    def surely_stokesian(self) -> bool:
+        """Whether it is known to be a Stokes flow at all times, once it is one."""
+        return self.steady
 
     def __add__(self, other: Flow) -> Flow:
         return add_flows([self, other])
@@ -212,15 +231,19 @@ def add_flows(flows: Iterable[Flow]) -> Flow:
         part = flow.polynomial
         if part is not None:
             polynomial = part if polynomial is None else polynomial.plus(part)
-        elif isinstance(flow, SumFlow):
+        elif type(flow) is SumFlow:
             pending = [*flow.terms, *pending]
         else:
             others.append(flow)
-    if polynomial is not None:
-        if not others:
-            return polynomial
-        others.insert(0, polynomial)
-    return others[0] if len(others) == 1 else SumFlow(others)
+    terms: list[Flow] = []
+    for flow in (*others, *([] if polynomial is None else [polynomial])):
+        for place, term in enumerate(terms):
+            if (whole := term.joined(flow)) is not None:
+                terms[place] = whole
+                break
+        else:
+            terms.insert(0 if flow is polynomial else len(terms), flow)
+    return terms[0] if len(terms) == 1 else SumFlow(terms)
 
 
 class SumFlow(Flow):
@@ -252,27 +275,31 @@ class SumFlow(Flow):
         whole = flow.polynomial
         return flow if whole is None else whole.named({"type": cls.type_name, "terms": list(terms)})
 
+    def _sum(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+        """The sum of what a method of the terms finds."""
+        return np.asarray(sum(getattr(flow, name)(x, t, *more) for flow in self.terms))
+
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
-        return self._total([flow.velocity(x, t) for flow in self.terms])
+        return self._sum("velocity", x, t)
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3)."""
-        return self._total([flow.gradient(x, t) for flow in self.terms])
+        return self._sum("gradient", x, t)
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Laplacian (..., 3)."""
-        return self._total([flow.laplacian(x, t) for flow in self.terms])
+        return self._sum("laplacian", x, t)
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Pressure (...)."""
-        return self._total([flow.pressure(x, t) for flow in self.terms])
+        return self._sum("pressure", x, t)
 
     def vorticity_of_laplacian(
         self, x: ArrayLike, t: float = 0.0, reach: float | None = None
     ) -> Array:
         """Curl of the Laplacian (..., 3)."""
-        return self._total([flow.vorticity_of_laplacian(x, t, reach) for flow in self.terms])
+        return self._sum("vorticity_of_laplacian", x, t, reach)
 
     def breaks(self, end: float) -> Array:
         """Those of all terms."""
@@ -284,13 +311,6 @@ class SumFlow(Flow):
         for flow in self.terms:
             flow.until(t)
 
-    @staticmethod
-    def _total(parts: list[Array]) -> Array:
-        total = parts[0]
-        for part in parts[1:]:
-            total = total + part
-        return total
-
     @property
     def steady(self) -> bool:
         """Whether all terms are."""
@@ -299,7 +319,10 @@ class SumFlow(Flow):
     @property
     def singular_points(self) -> Array:
         """Singular points of all terms (n, 3)."""
-        return np.concatenate([flow.singular_points for flow in self.terms])
+        found = np.concatenate([flow.singular_points for flow in self.terms])
+        return (
+            found[np.sort(np.unique(found, axis=0, return_index=True)[1])] if len(found) else found
+        )
 
     @property
     def singular_points_known(self) -> bool:
@@ -309,7 +332,7 @@ class SumFlow(Flow):
     @property
     def domain(self) -> Domain:
         """Where all terms are known."""
-        return tuple(edge for flow in self.terms for edge in flow.domain)
+        return tuple(dict.fromkeys(edge for flow in self.terms for edge in flow.domain))
 
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""

@@ -1,172 +1,129 @@
-"""Linear flows whose gradient changes in time: functions, expressions and series of samples.
+"""Flows whose numbers change in time: sums of flows times functions, expressions or series of t.
 
-Positions are relative to the tracer along which the gradients were taken: the flow is A(t) x.
+u = u_0(x) + sum_m f_m(t) u_m(x). Where all u are polynomial, so is the flow at every instant.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import FlowError, FlowFunctionError
+from qbxstokes.errors import FlowError
 from qbxstokes.expressions import expression_in_time
-from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.base import Build, Flow, SumFlow
+from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.series import GradientSeries, series_of_file
-from qbxstokes.flows.transformed import Transformable
+from qbxstokes.flows.signals import Part, Signal
 from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import (
-    DOUBLE,
-    SINGLE,
-    Array,
-    check_keys,
-    instants,
-    number,
-    settled,
-    tensor,
-    traceless,
-)
+from qbxstokes.flows.values import Array, Key, check_keys, instants, number
+from qbxstokes.tables import TableError, read_table
 
-_NOTHING = 1e-290  # the trace of a gradient whose digits are lost
+_IN_TIME = ["trajectory", "longest_step", "breaks"]
+_SERIES = {"file", "process", "times"}
+# Numbers of the keys that a function or a series may stand for as a whole; one of the others.
+_SHAPES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("velocity", "angular_velocity", "value", "strength"), (3,)),
+    "gradient": (3, 3),
+    "hessian": (3, 3, 3),
+    "third": (3, 3, 3, 3),
+}
 
 
-class LinearInTime(Transformable):
-    """u = A(t) x with a traceless gradient that changes in time.
+class ChangingFlow(SumFlow):
+    """still + sum_m signal_m(t) units_m; polynomials are taken about one origin."""
 
-    gradient: a function of t that returns (3, 3), three rows of numbers and expressions in t, or a
-    `GradientSeries` of one path.
-    """
+    type_name = "changing"
 
-    type_name = "linear"
-    rows = slice(7, 16)  # of its numbers among those of a flow (`motion.taylor`)
+    def __init__(
+        self,
+        signal: Signal,
+        units: Sequence[Flow],
+        still: Flow | None,
+        spec: Mapping[str, Any],
+    ) -> None:
+        """spec: what it is written down as."""
+        self.signal, self._spec = signal, dict(spec)
+        terms = [*units, *([] if still is None else [still])]
+        self._ranks: list[Array] = []
+        self.polynomials: tuple[PolynomialFlow, ...] = ()
+        given = [flow for flow in terms if isinstance(flow, PolynomialFlow)]
+        if len(given) == len(terms):
+            self.polynomials = tuple(flow.about(given[0].origin) for flow in given)
+            ranks = zip(*(flow.tensors for flow in self.polynomials), strict=True)
+            self._ranks, terms = [np.stack(rank) for rank in ranks], [*self.polynomials]
+        super().__init__(terms)
+        self.spacing = min(self.spacing, signal.spacing)
+        self.units, self.still = self.terms[: len(units)], None if still is None else terms[-1]
+        self._degree = max([1, *(flow.degree for flow in self.polynomials)])
+        self._known: tuple[float, PolynomialFlow] | None = None
+        self._factors(np.zeros(1))
 
-    def __init__(self, gradient: Any, spec: Mapping[str, Any] | None = None) -> None:
-        self._spec = None if spec is None else dict(spec)
-        self._last, self._breaks = math.inf, np.empty(0)
-        self._source: LinearInTime | None = None
-        self.series = gradient if isinstance(gradient, GradientSeries) else None
-        if isinstance(gradient, GradientSeries):
-            self.spacing = gradient.spacing
-            self._gradient = gradient.function()
-        elif callable(gradient):
-            self._gradient = gradient
-        else:
-            self._gradient = _of_expressions(gradient)
-            self._spec = self._spec or {"type": "linear", "gradient": gradient}
-        self.at(0.0)
-
-    @classmethod
-    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
-        """From {"gradient": ...}: rows of expressions, a function, a series, or {"file": ...}."""
-        check_keys(spec, ["gradient", "trajectory", "longest_step", "breaks"], cls.type_name)
-        gradient, chosen = spec["gradient"], spec.get("trajectory")
-        if isinstance(gradient, str):
-            gradient = load_function(gradient)
-        known = isinstance(gradient, (Mapping, GradientSeries))
-        if known and chosen is not None:
-            if isinstance(chosen, bool) or not isinstance(chosen, (int, float)) or chosen % 1:
-                right = f"a whole number; all paths: sweep.axes: [{{flow.trajectory: {chosen}}}]"
-                raise FlowError(f"trajectory is {chosen!r}; {right}", ("trajectory",))
-            chosen = int(chosen)
-        if isinstance(gradient, Mapping):
-            single = chosen if "rows" in gradient else None
-            gradient = series_of_file(gradient, single)
-            chosen = None if single is not None else chosen
-        if isinstance(gradient, GradientSeries) and chosen is not None:
-            gradient = gradient.path(chosen)
-        flow = cls(gradient, {"type": cls.type_name, **spec})
-        if spec.get("longest_step") is not None:
-            step = number(spec["longest_step"], "longest_step", positive=True)
-            flow.spacing = min(flow.spacing, step)
-        flow._breaks = instants(spec.get("breaks"))
-        return flow
+    def _factors(self, t: Array) -> Array:
+        """What the terms are multiplied by at instants (T,), (T, terms)."""
+        factors = np.ones((len(t), len(self.terms)))
+        numbers = self.signal.at(float(t[0]))[None] if len(t) == 1 else self.signal.many(t)
+        factors[:, : len(self.units)] = numbers
+        return factors
 
     def breaks(self, end: float) -> Array:
-        """Those that were given, and the samples of a series."""
-        if self._source is not None:
-            return self._source.breaks(end)
-        own = np.empty(0) if self.series is None else self.series.breaks(end)
-        found: Array = np.unique(np.concatenate([self._breaks[self._breaks < end], own]))
-        return found
+        """Those of the numbers and of the terms."""
+        return np.union1d(self.signal.breaks(end), super().breaks(end))
 
     def until(self, t: float) -> None:
         """Show itself, from now on, as before the break t: at t as just before it."""
-        self._last = math.nextafter(t, -math.inf)
+        self.signal.last = math.nextafter(t, -math.inf)
+        super().until(t)
 
-    def at(self, t: float) -> Array:
-        """The gradient (3, 3) at time t; raises FlowError for what is none."""
-        try:
-            given = self._gradient(min(t, self._last))
-        except FlowError:
-            raise
-        except Exception as error:
-            wrong = f"raised {type(error).__name__} at t = {t:.6g}: {error}"
-            raise FlowFunctionError(f"the gradient {wrong}", ("gradient",)) from error
-        matrix = tensor(given, f"the gradient at t = {t:.6g}", (3, 3), ("gradient",))
-        trace = float(np.trace(matrix))
-        if abs(trace) <= _NOTHING:
-            return matrix
-        if abs(trace) > SINGLE * float(np.abs(matrix).max()):
-            raise FlowFunctionError(
-                f"the gradient has trace {trace:.6g} at t = {t:.6g} and must have none "
-                "(incompressible fluid)",
-                ("gradient",),
-            )
-        return settled(matrix, traceless(matrix), "the gradients must have no trace (div u = 0)")
+    def at(self, t: float) -> PolynomialFlow:
+        """The polynomial that the flow is at time t."""
+        t = min(t, self.signal.last)
+        if self._known is None or self._known[0] != t:
+            (factors,) = self._factors(np.array([t]))
+            tensors = [np.tensordot(factors, rank, 1) for rank in self._ranks]
+            origin = self.polynomials[0].origin
+            self._known = t, PolynomialFlow.of(tensors, origin, self.domain)
+        return self._known[1]
 
-    def frozen(self, t: float) -> PolynomialFlow:
-        """The flow of an instant."""
-        return PolynomialFlow(gradient=self.at(t))
+    def gradients(self, x: Array, t: Array) -> Array:
+        """Velocity gradients (T, n, 3, 3) at points (n, 3) and instants (T,)."""
+        if self.degree == 1:
+            terms = np.broadcast_to(self._ranks[1][:, None], (len(self.terms), len(x), 3, 3))
+        else:
+            terms = np.stack([flow.gradient(x) for flow in self.terms])
+        found: Array = np.tensordot(self._factors(t), terms, 1)
+        return found
 
-    def numbers(self, t: float) -> list[float]:
-        """The nine numbers of the gradient at time t, by rows; raises FlowError as `at` does."""
-        try:
-            found: list[float] = (
-                np.asarray(self._gradient(min(t, self._last)), dtype=np.float64).ravel().tolist()
-            )
-            trace, size = found[0] + found[4] + found[8], max(map(abs, found))
-            if len(found) == 9 and abs(trace) <= DOUBLE * size + _NOTHING < math.inf:
-                return found
-        except Exception:
-            pass
-        told: list[float] = self.at(t).ravel().tolist()
-        return told
+    @property
+    def surely_stokesian(self) -> bool:
+        """Whether it is a gradient alone, of which the trace is looked at."""
+        return all(part.gradient for part in self.signal.parts) and self.degree == 1
+
+    def _sum(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+        if self.polynomials:
+            return np.asarray(getattr(self.at(t), name)(x, t, *more))
+        (factors,) = self._factors(np.array([t])).tolist()
+        pairs = zip(factors, self.terms, strict=True)
+        return np.asarray(sum(f * getattr(flow, name)(x, t, *more) for f, flow in pairs))
 
     def odd_about(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether u(x + r) = -u(x - r) for all r at all times, exactly, shape (...)."""
-        return np.asarray(~np.any(np.asarray(x), axis=-1))
-
-    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Velocity (..., 3)."""
-        result: Array = np.asarray(x, dtype=float) @ self.at(t).T
-        return result
-
-    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Velocity gradient (..., 3, 3)."""
-        return np.broadcast_to(self.at(t), (*np.shape(x), 3))
-
-    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Zero."""
-        return np.zeros(np.shape(x))
-
-    def vorticity_of_laplacian(
-        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
-    ) -> Array:
-        """Zero."""
-        return np.zeros(np.shape(x))
-
-    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Zero: that of a Stokes flow without inertia."""
-        return np.zeros(np.shape(x)[:-1])
+        if self.degree == 1:
+            arm = np.asarray(x, dtype=float) - self.polynomials[0].origin
+            found = np.einsum("mij,...j->...mi", self._ranks[1], arm) + self._ranks[0]
+            return np.asarray(~np.any(found, axis=(-2, -1)))
+        return np.asarray(np.all([flow.odd_about(x) for flow in self.polynomials], axis=0))
 
     @property
-    def degree(self) -> int:
-        """1."""
-        return 1
+    def degree(self) -> int | None:
+        """The largest of its polynomials, None where other flows are among them."""
+        return self._degree if self.polynomials else None
 
     @property
     def steady(self) -> bool:
@@ -175,42 +132,176 @@ class LinearInTime(Transformable):
 
     def spec(self) -> dict[str, Any]:
         """The specification, where it can be written down."""
-        return self._spec or {"type": self.type_name, "gradient": self._gradient}
+        return dict(self._spec)
+
+    def named(self, spec: Mapping[str, Any]) -> ChangingFlow:
+        """The same flow, remembering the specification it was built from."""
+        return ChangingFlow(self.signal, self.units, self.still, spec)
+
+    def of_series(self, series: Series) -> ChangingFlow:
+        """The same flow of another series, where one is all that changes."""
+        part = replace(self.signal.parts[0], source=series, spacing=series.spacing)
+        return ChangingFlow(Signal([part]), self.units, self.still, self._spec)
+
+    def _mapped(self, change: Callable[[Flow], Flow], **how: Any) -> ChangingFlow:
+        still = None if self.still is None else change(self.still)
+        spec = {"type": "transformed", "flow": self.spec(), **how}
+        return ChangingFlow(self.signal, [change(flow) for flow in self.units], still, spec)
+
+    def shifted(self, displacement: ArrayLike) -> Flow:
+        """The flow moved."""
+        way = np.asarray(displacement, dtype=float)
+        return self._mapped(lambda flow: flow.shifted(way), position=way.tolist())
 
     def rotated(self, rotation: ArrayLike) -> Flow:
-        """The flow turned: A becomes R A R^T."""
-        turn = tensor(rotation, "rotation", (3, 3))
-        return self._mapped(lambda a: turn @ a @ turn.T)
+        """The flow turned about the space origin."""
+        turn = np.asarray(rotation, dtype=float)
+        return self._mapped(lambda flow: flow.rotated(turn), rotation=turn.tolist())
 
     def scaled(self, factor: float) -> Flow:
         """The flow times a number."""
-        return self._mapped(lambda a: factor * a)
+        return self._mapped(lambda flow: flow.scaled(factor), factor=factor)
 
-    def _mapped(self, change: Callable[[Array], Array]) -> Flow:
-        flow = LinearInTime(lambda t: change(self.at(t)))
-        flow.spacing, flow._source = self.spacing, self
-        return flow
+    def joined(self, other: Flow) -> Flow | None:
+        """The sum with a polynomial, or with one that changes as well; None for other flows."""
+        if not self.polynomials or other.degree is None:
+            return None
+        spec = {"type": "sum", "terms": [self.spec(), other.spec()]}
+        stills = [flow for flow in (self.still, getattr(other, "still", other)) if flow is not None]
+        still = None if not stills else stills[0] if len(stills) == 1 else stills[0] + stills[1]
+        if not isinstance(other, ChangingFlow):
+            return ChangingFlow(self.signal, self.units, still, spec)
+        signal = self.signal.joined(other.signal)
+        return ChangingFlow(signal, [*self.units, *other.units], still, spec)
 
 
-def in_time(gradient: Any) -> bool:
-    """Whether what a case or a caller gives as a gradient changes in time."""
-    if callable(gradient) or isinstance(gradient, (GradientSeries, Mapping, str)):
-        return True
-    rows = gradient if isinstance(gradient, (list, tuple)) else ()
-    return any(isinstance(e, str) for row in rows if isinstance(row, (list, tuple)) for e in row)
+def linear_in_time(gradient: Any) -> ChangingFlow:
+    """u = A(t) x of a function, expressions or a series of gradients of one path."""
+    flow = in_time(PolynomialFlow, {"gradient": gradient}, lambda spec: PolynomialFlow(**spec))
+    assert flow is not None
+    return flow.named({"type": "linear", "gradient": gradient})
 
 
-def _of_expressions(rows: Any) -> Callable[[float], Array]:
-    if len(rows) != 3 or any(
-        not isinstance(row, Sequence | np.ndarray) or len(row) != 3 for row in rows
-    ):
-        raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", ("gradient",))
-    parts = []
-    for i, row in enumerate(rows):
-        for j, entry in enumerate(row):
-            try:
-                parts.append(expression_in_time(str(entry)))
-            except ValueError as error:
-                key = ("gradient", i, j)
-                raise FlowError(f"gradient entry {entry!r}: {error}", key) from None
-    return lambda t: np.array([part(t) for part in parts]).reshape(3, 3)
+def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> ChangingFlow | None:
+    """The flow of a specification in which numbers change in time; None where none does.
+
+    build: makes flows of specifications inside. Raises FlowError.
+    """
+    spec = {key: value for key, value in given.items() if key not in _IN_TIME}
+    changing = [key for key in kind.linear_in if key in spec and _changes(spec[key])]
+    if not changing:
+        return None
+    rest = {key: value for key, value in spec.items() if key not in kind.linear_in}
+    bound, breaks = given.get("longest_step"), instants(given.get("breaks"))
+    step = math.inf if bound is None else number(bound, "longest_step", positive=True)
+    parts, units = [], []
+    for key in changing:
+        part, filled = _part(key, spec[key], given.get("trajectory"))
+        spacing = min(step, part.source.spacing if isinstance(part.source, Series) else step)
+        part = replace(part, given_breaks=lambda end: breaks[breaks < end], spacing=spacing)
+        parts.append(part)
+        size = int(np.prod(part.shape, dtype=int))
+        for row in np.eye(size):
+            numbers = {**rest, key: filled(row.tolist())}
+            units.append(kind.unchecked(numbers, build))
+    steady = {key: spec[key] for key in kind.linear_in if key in spec and key not in changing}
+    still = kind.unchecked({**rest, **steady}, build) if steady else None
+    return ChangingFlow(Signal(parts), units, still, {"type": kind.type_name, **given})
+
+
+def _changes(value: Any) -> bool:
+    """Whether something in what a key is given changes in time."""
+    if isinstance(value, Mapping) and not _SERIES & set(value):
+        return any(_changes(entry) for entry in value.values())
+    if isinstance(value, (list, tuple)):
+        return any(_changes(entry) for entry in value)
+    return isinstance(value, (str, Series, Mapping)) or callable(value)
+
+
+def _part(key: str, given: Any, trajectory: Any) -> tuple[Part, Callable[[list[float]], Any]]:
+    """The numbers of a key that change, and what makes the key's value of them in their order."""
+    value, gradient = given, key == "gradient"
+    if isinstance(value, str) and ".py:" in value:
+        value = load_function(value)
+    elif isinstance(value, Mapping) and _SERIES & set(value):
+        value = _series_of(key, value, trajectory)
+    elif isinstance(value, GradientSeries) and trajectory is not None:
+        value = value.path(_path_number(trajectory))
+    if callable(value):
+        shape = _SHAPES.get(key, ())
+        if isinstance(value, Series):
+            value.values(np.array([value.times[0]]))  # of one path
+            count = 9 if isinstance(value, GradientSeries) else value.samples.shape[-1]
+            if count != np.prod(shape, dtype=int):
+                raise FlowError(f"{key} has {count} numbers in its series", (key,))
+        return Part(value, shape, (key,), gradient), lambda row: np.reshape(row, shape).tolist()
+    leaves: list[Callable[[float], float]] = []
+    filled = _leaves(value, (key,), leaves)
+    shape = (len(leaves),)
+    if gradient:
+        shape = (3, 3)
+        if np.shape(value) != shape:
+            raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", (key,))
+
+    def source(t: float) -> Array:
+        return np.reshape([leaf(t) for leaf in leaves], shape)
+
+    return Part(source, shape, (key,), gradient), filled
+
+
+def _leaves(
+    value: Any, key: Key, leaves: list[Callable[[float], float]]
+) -> Callable[[list[float]], Any]:
+    """Functions of t of all numbers inside, added to `leaves`, and what puts numbers there."""
+    if isinstance(value, Mapping) and not _SERIES & set(value):
+        inner = {name: _leaves(entry, (*key, name), leaves) for name, entry in value.items()}
+        return lambda row: {name: fill(row) for name, fill in inner.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        parts = [_leaves(entry, (*key, place), leaves) for place, entry in enumerate(value)]
+        return lambda row: [fill(row) for fill in parts]
+    place = len(leaves)
+    if isinstance(value, str) and ".py:" in value:
+        value = load_function(value)
+    if isinstance(value, str):
+        try:
+            leaves.append(expression_in_time(value))
+        except ValueError as error:
+            what = f"{key[0]} must be a finite number or an expression in t"
+            raise FlowError(f"{what}, not {value!r}: {error}", key) from None
+    elif callable(value):
+        leaves.append(lambda t: float(np.reshape(value(t), ())))
+    elif isinstance(value, Mapping):
+        raise FlowError(f"a series stands for the whole of {key[0]}", key)
+    else:
+        fixed = number(value, ".".join(map(str, key)), key=key)
+        leaves.append(lambda t: fixed)
+    return lambda row: row[place]
+
+
+def _path_number(trajectory: Any) -> int:
+    kind = isinstance(trajectory, (int, float)) and not isinstance(trajectory, bool)
+    if not kind or trajectory % 1:
+        right = f"a whole number; all paths: sweep.axes: [{{flow.trajectory: {trajectory}}}]"
+        raise FlowError(f"trajectory is {trajectory!r}; {right}", ("trajectory",))
+    return int(trajectory)
+
+
+def _series_of(key: str, given: Mapping[str, Any], trajectory: Any) -> Series:
+    """The series of a file, of a process, or of numbers in the case."""
+    chosen = None if trajectory is None else _path_number(trajectory)
+    if key == "gradient" and "times" not in given:
+        single = chosen if "rows" in given else None
+        series = series_of_file(given, single)
+        return series if chosen is None or single is not None else series.path(chosen)
+    rules = {name: given[name] for name in ("interpolation", "outside") if name in given}
+    try:
+        check_keys(given, ["file", "times", "values", *rules], key)
+        if "times" in given:
+            found = Series(given["times"], np.asarray(given["values"], dtype=float), **rules)
+        else:
+            numbers = read_table(Path(str(given["file"]))).numbers
+            found = Series(numbers[:, 0], numbers[:, 1:], **rules)
+    except (TableError, KeyError, TypeError, ValueError) as error:
+        right = "{file: ...} of t and numbers, or {times: [...], values: [...]}"
+        raise FlowError(f"{key}: {error}; {right} is expected", (key,)) from None
+    return found

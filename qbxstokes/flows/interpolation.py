@@ -1,13 +1,20 @@
-"""Polynomials between samples: what an interpolant is in each interval, as powers of its time."""
+"""Series of samples in time, and the polynomials between them."""
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from qbxstokes.errors import FlowError, FlowFunctionError
 
 Array = NDArray[np.float64]
 
 INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each one takes
+OUTSIDE = "error", "clamp", "repeat"
 
 
 def power_weights(times: Array, interpolation: str) -> tuple[NDArray[np.int64], Array]:
@@ -22,3 +29,158 @@ def power_weights(times: Array, interpolation: str) -> tuple[NDArray[np.int64], 
     nodes = times[first[:, None] + np.arange(count)]
     s = (nodes - times[:-1, None]) / np.diff(times)[:, None]
     return first, np.linalg.inv(s[:, :, None] ** np.arange(count))
+
+
+class Series:
+    """Numbers from samples in time: times (T,), values (..., T, m), or (T,) of one number each.
+
+    Leading axes are paths, with values of their own at the same times. Samples keep their type
+    (float32 is not copied); only their last axes are looked at here.
+
+    interpolation: "sextic", the polynomial through the six samples around an instant (its error
+    goes as spacing^6), "linear" or "hold" (the sample before it). outside: "error" beyond the
+    samples, "clamp" or "repeat" (the period is that of the samples).
+    """
+
+    name = "values"
+
+    def __init__(
+        self,
+        times: ArrayLike,
+        values: Any,
+        *,
+        interpolation: str = "sextic",
+        outside: str = "error",
+    ) -> None:
+        t = np.asarray(times, dtype=np.float64)
+        a = values if hasattr(values, "shape") else np.asarray(values, dtype=np.float64)
+        if a.ndim == 1:
+            a = a[:, None]
+        for name, value, known in (
+            ("interpolation", interpolation, INTERPOLATIONS),
+            ("outside", outside, OUTSIDE),
+        ):
+            if value not in known:
+                raise FlowError(f"{name} is one of {', '.join(known)}, not {value!r}", (name,))
+        if t.ndim != 1 or len(t) < 2 or np.any(np.diff(t) <= 0.0) or not np.isfinite(t).all():
+            raise FlowError("times of a series must be two or more finite, increasing instants")
+        if a.ndim < 2 or a.shape[-2] != len(t):
+            right = f"{self._shapes(len(t))} is expected"
+            raise FlowError(f"{self.name} have shape {a.shape}; {right}", ("gradient",))
+        if interpolation == "sextic" and len(t) < 6:
+            raise FlowError(
+                f"{len(t)} samples are too few for six points; interpolation: linear", ("gradient",)
+            )
+        self.times, self.samples = t, a
+        self.interpolation, self.outside = interpolation, outside
+
+    def _shapes(self, count: int) -> str:
+        return f"({count},) or (..., {count}, m)"
+
+    @property
+    def paths(self) -> tuple[int, ...]:
+        """Shape of the leading axes."""
+        return tuple(self.samples.shape[:-2])
+
+    @property
+    def spacing(self) -> float:
+        """Least time between samples."""
+        return float(np.diff(self.times).min())
+
+    def __len__(self) -> int:
+        return math.prod(self.paths)
+
+    def read(self, first: int, stop: int, begin: int = 0, end: int | None = None) -> Array:
+        """Samples begin to end (stop - first, T, m) of some paths, which have to be finite."""
+        a = np.array(self._rows[first:stop, begin:end], dtype=np.float64)
+        if not (math.isfinite(np.max(a, initial=0.0)) and math.isfinite(np.min(a, initial=0.0))):
+            path, sample, _ = np.argwhere(~np.isfinite(a))[0]
+            where = f"path {first + path}, sample {begin + sample}"
+            raise FlowError(f"{where} of the series is not finite")
+        return a
+
+    @property
+    def _rows(self) -> Any:
+        """Samples by path and instant, of which parts may be read."""
+        whole = self.samples
+        return whole.reshape(-1, *whole.shape[-2:]) if isinstance(whole, np.ndarray) else whole
+
+    @cached_property
+    def _one(self) -> Array:
+        """Samples (T, m) of a series of one path."""
+        if len(self) != 1:
+            raise FlowError(f"a series of {len(self)} paths; name a trajectory", ("trajectory",))
+        found: Array = self.read(0, 1)[0]
+        return found
+
+    def thinned(self) -> Series:
+        """The same of every other sample."""
+        rules = {"interpolation": self.interpolation, "outside": self.outside}
+        return Series(self.times[::2], self._rows[0, ::2], **rules)
+
+    def inside(self, t: float) -> float:
+        """The instant of the samples that stands for t; raises FlowError beyond them."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        if first <= t <= last:
+            return t
+        if self.outside == "clamp":
+            return min(max(t, first), last)
+        if self.outside == "repeat":
+            return first + (t - first) % (last - first)
+        raise FlowFunctionError(
+            f"t = {t:.6g} is outside the series, which covers {first:g} to {last:g}; "
+            "outside: clamp or repeat goes on",
+            ("outside",),
+        )
+
+    def breaks(self, end: float) -> Array:
+        """The samples between 0 and `end`: between them the interpolant is a polynomial."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        found = self.times
+        if self.outside == "repeat":
+            turns = np.arange(math.floor(-first / (last - first)), math.ceil(end / (last - first)))
+            found = np.unique(turns[:, None] * (last - first) + self.times[:-1])
+        return found[(found > 0.0) & (found < end)]
+
+    def values(self, t: Array) -> Array:
+        """The values (n, m) at instants (n,), of a series of one path."""
+        flat = np.array([self.inside(s) for s in t.tolist()])
+        places = np.clip(np.searchsorted(self.times, flat, "right") - 1, 0, len(self.times) - 2)
+        s = (flat - self.times[places]) / np.diff(self.times)[places]
+        powers = self._powers(places)
+        found: Array = np.einsum("nk,nkm->nm", s[:, None] ** np.arange(powers.shape[1]), powers)
+        if self.interpolation == "hold":
+            found[flat >= self.times[-1]] = self._one[-1]
+        return found
+
+    def __call__(self, t: float) -> Array:
+        """The values (m,) at an instant, of a series of one path."""
+        found: Array = self.values(np.array([t]))[0]
+        return found
+
+    def powers(self, first: Array, last: Array) -> tuple[Array, Array, Array]:
+        """Origins and scales (n,) and coefficients (n, degree + 1, m) of intervals without samples.
+
+        The values at t are sum_k coefficients[k] ((t - origin) scale)^k.
+        """
+        middle = 0.5 * (first + last)
+        inside = np.array([self.inside(t) for t in middle.tolist()])
+        places = np.clip(np.searchsorted(self.times, inside, "right") - 1, 0, len(self.times) - 2)
+        coefficients = self._powers(places)
+        beyond = (inside == self.times[0]) | (inside == self.times[-1])  # clamped
+        if np.any(beyond):
+            coefficients[beyond] = 0.0
+            coefficients[beyond, 0] = self._one[np.where(inside == self.times[0], 0, -1)[beyond]]
+        origins = middle - (inside - self.times[places])
+        return origins, 1.0 / np.diff(self.times)[places], coefficients
+
+    def _powers(self, places: NDArray[np.int64]) -> Array:
+        """Coefficients (n, degree + 1, m) of intervals of samples in their own time, 0 to 1."""
+        first, weights = self._weights
+        window = self._one[first[places][:, None] + np.arange(weights.shape[2])]
+        found: Array = np.einsum("nkj,njm->nkm", weights[places], window)
+        return found
+
+    @cached_property
+    def _weights(self) -> tuple[NDArray[np.int64], Array]:
+        return power_weights(self.times, self.interpolation)

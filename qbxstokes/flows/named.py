@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
-from qbxstokes.flows.changing import LinearInTime, in_time
 from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.values import Array, check_keys, number, settled, tensor, traceless
@@ -30,6 +29,7 @@ class Uniform(PolynomialFlow):
     """u = velocity."""
 
     type_name = "uniform"
+    linear_in = ("velocity",)
 
     def __init__(self, velocity: ArrayLike = (1.0, 0.0, 0.0)) -> None:
         value = tensor(velocity, "velocity", (3,))
@@ -41,6 +41,7 @@ class Linear(PolynomialFlow):
     """u = A x with a traceless gradient A[i, j] = du_i/dx_j."""
 
     type_name = "linear"
+    linear_in = ("gradient",)
 
     @classmethod
     def keys(cls) -> dict[str, Any]:
@@ -48,12 +49,16 @@ class Linear(PolynomialFlow):
         return {**super().keys(), "trajectory": None}
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
-        """A steady flow, or a `LinearInTime` where the gradient changes."""
-        if in_time(spec.get("gradient")):
-            return LinearInTime.from_spec(spec, build)
+    def unchecked(cls, spec: Mapping[str, Any], build: Build) -> PolynomialFlow:
+        """The flow of a gradient that may have a trace."""
         check_keys(spec, ["gradient"], cls.type_name)
-        return super().from_spec(spec, build)
+        return PolynomialFlow(gradient=spec["gradient"])
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """The flow {"gradient": 3 x 3 numbers}."""
+        check_keys(spec, ["gradient"], cls.type_name)
+        return super().unchecked(spec, build)
 
     def __init__(self, gradient: ArrayLike) -> None:
         """Raises FlowError if the gradient has a trace."""
@@ -68,6 +73,7 @@ class Shear(PolynomialFlow):
     """Linear shear u = rate (x2, 0, 0)."""
 
     type_name = "shear"
+    linear_in = ("rate",)
 
     def __init__(self, rate: float = 1.0) -> None:
         shear_rate = number(rate, "rate")
@@ -83,6 +89,7 @@ class Extension(PolynomialFlow):
     """
 
     type_name = "extension"
+    linear_in = ("rate",)
 
     def __init__(self, rate: float = 1.0, kind: str = "uniaxial") -> None:
         """Raises FlowError for a kind other than uniaxial, biaxial, planar."""
@@ -100,6 +107,7 @@ class Rotation(PolynomialFlow):
     """Rigid rotation u = angular_velocity x x."""
 
     type_name = "rotation"
+    linear_in = ("angular_velocity",)
 
     def __init__(self, angular_velocity: ArrayLike = (0.0, 0.0, 1.0)) -> None:
         omega = tensor(angular_velocity, "angular_velocity", (3,))
@@ -124,6 +132,7 @@ class Paraboloid(PolynomialFlow):
     """
 
     type_name = "paraboloid"
+    linear_in = ("curvature",)
 
     def __init__(self, curvature: Any = 1.0) -> None:
         """Raises FlowError unless curvature is one number or two."""
@@ -143,6 +152,7 @@ class WallStagnation(PolynomialFlow):
     """
 
     type_name = "wall_stagnation"
+    linear_in = ("rate",)
 
     def __init__(self, rate: float = 1.0, kind: str = "axisymmetric") -> None:
         """Raises FlowError for an unknown kind."""
@@ -162,6 +172,7 @@ class PlanePoiseuille(PolynomialFlow):
     """Flow between plates at x2 = +-half_width: u = speed (1 - x2^2/half_width^2) e1."""
 
     type_name = "plane_poiseuille"
+    linear_in = ("speed",)
 
     def __init__(self, half_width: float, speed: float = 1.0) -> None:
         width = number(half_width, "half_width", positive=True)
@@ -175,6 +186,7 @@ class TubePoiseuille(PolynomialFlow):
     """Flow in a tube along e1: u = speed (1 - (x2^2 + x3^2)/radius^2) e1."""
 
     type_name = "tube_poiseuille"
+    linear_in = ("speed",)
 
     def __init__(self, radius: float, speed: float = 1.0) -> None:
         width = number(radius, "radius", positive=True)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from itertools import permutations, product
 from math import factorial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,12 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow, curl
 from qbxstokes.flows.domain import Domain, moved
-from qbxstokes.flows.values import Array, check_keys, number, rotation_matrix, settled, tensor
+from qbxstokes.flows.values import (
+    Array,
+    Exponents,
+    check_keys,
+    number,
+    parse_monomial,
+    rotation_matrix,
+    settled,
+    tensor,
+)
 from qbxstokes.flows.values import traceless as solenoidal
 
-Exponents = tuple[int, int, int]
-
-_FACTOR = re.compile(r"x([123])(?:\^([0-9]))?")
 _TENSOR_KEYS = ("value", "gradient", "hessian", "third")
 # Traces and antisymmetric parts below this, relative to the tensor, are rounding.
 
@@ -33,11 +39,11 @@ class PolynomialFlow(Flow):
     digits however large it grows (a body carried 1e6 lengths downstream). A flow that is moved
     takes its origin along and keeps its tensors: none of its digits are lost either.
 
-    The constructor takes tensors as they are; `from_spec` and `from_coefficients` also refuse
-    those that are not Stokesian.
+    The constructor takes tensors as they are; `from_spec` refuses those of no Stokes flow.
     """
 
     type_name = "polynomial"
+    linear_in: ClassVar[tuple[str, ...]] = ("coefficients", *_TENSOR_KEYS)
 
     def __init__(
         self,
@@ -72,12 +78,18 @@ class PolynomialFlow(Flow):
         self.third: Array = tensors[3]
         self.origin: Array = tensor(origin, "origin", (3,))
         self._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
-        coefficients = self.coefficients()
-        self._exponents = list(coefficients)
-        self._matrix = np.array(list(coefficients.values())).reshape(-1, 3)
         self._spec: dict[str, Any] | None = None
 
     # -- construction -----------------------------------------------------------------------
+
+    @classmethod
+    def of(cls, tensors: Sequence[Array], origin: Array, domain: Domain) -> PolynomialFlow:
+        """The flow of four tensors that are known to be right."""
+        flow = PolynomialFlow.__new__(PolynomialFlow)
+        flow.value, flow.gradient_tensor, flow.hessian, flow.third = tensors
+        flow.origin, flow._domain, flow._spec = origin, domain, None
+        flow._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
+        return flow
 
     @classmethod
     def keys(cls) -> dict[str, Any]:
@@ -97,8 +109,16 @@ class PolynomialFlow(Flow):
         derive from this class, take their constructor's arguments instead.
         Raises FlowError if the result is not a Stokes flow.
         """
+        flow = cls.unchecked(spec, build)
+        return flow.stokesian() if cls is PolynomialFlow else flow
+
+    @classmethod
+    def unchecked(cls, spec: Mapping[str, Any], build: Build) -> PolynomialFlow:
+        """The same, Stokesian or not."""
         if cls is not PolynomialFlow:
-            return super().from_spec(spec, build)
+            flow = super().from_spec(spec, build)
+            assert isinstance(flow, PolynomialFlow)
+            return flow
         check_keys(spec, list(cls.keys()), cls.type_name)
         if "coefficients" in spec:
             if len(spec) > 1:
@@ -114,7 +134,7 @@ class PolynomialFlow(Flow):
                 "{u1: {x2^2: 1.0, x3^2: 1.0}}, or tensors "
                 f"({', '.join(_TENSOR_KEYS)})"
             )
-        return cls(**{str(key): value for key, value in spec.items()}).stokesian()
+        return cls(**{str(key): value for key, value in spec.items()})
 
     @classmethod
     def from_coefficients(cls, coefficients: Mapping[str, Any]) -> PolynomialFlow:
@@ -157,12 +177,12 @@ class PolynomialFlow(Flow):
                     if all(index.count(j) == exponents[j] for j in range(3)):
                         tensors[degree][(component, *index)] += derivative
         value, gradient, hessian, third = tensors
-        return cls(value, gradient, hessian, third).stokesian()
+        return cls(value, gradient, hessian, third)
 
     def coefficients(self) -> dict[Exponents, Array]:
         """Monomial exponents of x - origin -> coefficients (3,) of the components, no zeros."""
         result: dict[Exponents, Array] = {}
-        for degree, derivatives in enumerate(self._tensors):
+        for degree, derivatives in enumerate(self.tensors[: self._degree + 1]):
             for index in product(range(3), repeat=degree):
                 if list(index) != sorted(index):
                     continue
@@ -179,7 +199,7 @@ class PolynomialFlow(Flow):
         Numbers of single precision make way for the nearest that are right (`values.settled`).
         """
         tensors = [self.value]
-        for derivatives in self._tensors[1:]:
+        for derivatives in self.tensors[1:]:
             trace = np.einsum("ii...->...", derivatives)
             worst = np.unravel_index(np.abs(trace).argmax(), trace.shape) if trace.ndim else ()
             monomial = "*".join(f"x{j + 1}" for j in worst) or "1"
@@ -204,10 +224,11 @@ class PolynomialFlow(Flow):
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3): one product of the monomials present with their coefficients."""
         points = self._from_origin(x)
-        if not self._exponents:
-            return np.zeros(points.shape)
-        monomials = np.empty((*points.shape[:-1], len(self._exponents)))
-        for column, exponents in enumerate(self._exponents):
+        if self._degree <= 1:
+            return np.asarray(points @ self.gradient_tensor.T + self.value)
+        powers, matrix = self._monomials
+        monomials = np.empty((*points.shape[:-1], len(powers)))
+        for column, exponents in enumerate(powers):
             out = monomials[..., column]
             first = True
             for axis, power in enumerate(exponents):
@@ -219,8 +240,14 @@ class PolynomialFlow(Flow):
                         out *= points[..., axis]
             if first:
                 out[...] = 1.0
-        result: Array = monomials @ self._matrix
+        result: Array = monomials @ matrix
         return result
+
+    @cached_property
+    def _monomials(self) -> tuple[list[Exponents], Array]:
+        """Exponents of the terms present, and their coefficients (n, 3)."""
+        found = self.coefficients()
+        return list(found), np.array(list(found.values())).reshape(-1, 3)
 
     def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """(u, A, B, C) at the points: (..., 3), (..., 3, 3), (..., 3, 3, 3), (..., 3, 3, 3, 3).
@@ -290,7 +317,7 @@ class PolynomialFlow(Flow):
             return dict(self._spec)
         kept = {
             key: array.tolist()
-            for rank, (key, array) in enumerate(zip(_TENSOR_KEYS, self._tensors, strict=True))
+            for rank, (key, array) in enumerate(zip(_TENSOR_KEYS, self.tensors, strict=True))
             if rank == 0 or array.any()
         }
         place = {"position": self.origin.tolist()} if self.origin.any() else {}
@@ -299,7 +326,7 @@ class PolynomialFlow(Flow):
     def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
         """The flow moved, u'(x) = u(x - displacement): its origin moves."""
         way = tensor(displacement, "position", (3,))
-        flow = self._with(self._tensors, self.origin + way, moved(self._domain, np.eye(3), way))
+        flow = self.of(self.tensors, self.origin + way, moved(self._domain, np.eye(3), way))
         return self._carried(flow, np.eye(3), way)
 
     def about(self, origin: ArrayLike) -> PolynomialFlow:
@@ -308,7 +335,7 @@ class PolynomialFlow(Flow):
         return (
             self
             if np.array_equal(place, self.origin)
-            else self._with(self.derivatives(place), place, self._domain)
+            else self.of(self.derivatives(place), place, self._domain)
         )
 
     def rotated(self, rotation: ArrayLike) -> PolynomialFlow:
@@ -319,14 +346,14 @@ class PolynomialFlow(Flow):
             "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
         )
         tensors = (turn @ self.value, turn @ self.gradient_tensor @ turn.T, hessian, third)
-        flow = self._with(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
+        flow = self.of(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
         return self._carried(flow, turn, np.zeros(3))
 
     def scaled(self, factor: float) -> PolynomialFlow:
         """The flow times a number."""
         s = number(factor, "factor")
-        tensors = [s * derivatives for derivatives in self._tensors]
-        flow = self._with(tensors, self.origin, self._domain)
+        tensors = [s * derivatives for derivatives in self.tensors]
+        flow = self.of(tensors, self.origin, self._domain)
         spec = {"type": "transformed", "flow": self.spec(), "factor": s}
         return flow.named(spec) if self._domain else flow
 
@@ -346,19 +373,20 @@ class PolynomialFlow(Flow):
 
     def plus(self, other: PolynomialFlow) -> PolynomialFlow:
         """Sum of two polynomial flows as one, about the origin of the first."""
-        pairs = zip(self._tensors, other.about(self.origin)._tensors, strict=True)
+        pairs = zip(self.tensors, other.about(self.origin).tensors, strict=True)
         domain = self._domain + other.domain
-        flow = self._with([one + two for one, two in pairs], self.origin, domain)
+        flow = self.of([one + two for one, two in pairs], self.origin, domain)
         return flow.named({"type": "sum", "terms": [self.spec(), other.spec()]}) if domain else flow
 
     def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
         """The same flow, remembering the specification it was built from."""
-        flow = self._with(self._tensors, self.origin, self._domain)
+        flow = self.of(self.tensors, self.origin, self._domain)
         flow._spec = dict(spec)
         return flow
 
     @property
-    def _tensors(self) -> tuple[Array, Array, Array, Array]:
+    def tensors(self) -> tuple[Array, Array, Array, Array]:
+        """Value, gradient, second and third derivatives at the origin."""
         return self.value, self.gradient_tensor, self.hessian, self.third
 
     @property
@@ -366,31 +394,7 @@ class PolynomialFlow(Flow):
         """The surfaces inside which the flow is known."""
         return self._domain
 
-    @staticmethod
-    def _with(tensors: Sequence[Array], origin: Array, domain: Domain) -> PolynomialFlow:
-        value, gradient, hessian, third = tensors
-        return PolynomialFlow(value, gradient, hessian, third, origin, domain)
-
     def _from_origin(self, x: ArrayLike) -> Array:
         """Points relative to the origin."""
         points = np.asarray(x, dtype=float)
         return points - self.origin if self.origin.any() else points
-
-
-def parse_monomial(text: str) -> Exponents:
-    """Exponents of x1, x2, x3 in a monomial such as x2^2, x1*x3 or 1; raises FlowError."""
-    wrong = FlowError(
-        f"{text!r} is not a monomial of degree <= 3 in x1, x2, x3; write e.g. 1, x2, "
-        "x2^2, x1*x3 or x1*x2^2"
-    )
-    exponents = [0, 0, 0]
-    if text.strip() != "1":
-        # A power written ** would be torn apart by splitting at products.
-        for factor in re.split(r"[*\s]+", text.replace("**", "^").strip()):
-            match = _FACTOR.fullmatch(factor)
-            if match is None:
-                raise wrong
-            exponents[int(match[1]) - 1] += int(match[2] or 1)
-    if sum(exponents) > 3:
-        raise wrong
-    return exponents[0], exponents[1], exponents[2]

@@ -19,7 +19,9 @@ import numpy as np
 
 from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.base import Flow
+from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.signals import Part, Signal
 from qbxstokes.flows.values import Array
 
 # Derivative indices of the second and third degree, symmetric ones once, as the kernels take them.
@@ -80,21 +82,19 @@ def _fit(degree: int, length: float) -> _Fit:
     return _Fit(points, solve, np.abs(solve), np.eye(len(points)) - values @ solve)
 
 
-class PolynomialInTime:
+class PolynomialInTime(ChangingFlow):
     """A function that is a polynomial of a degree at every instant: its derivatives at the origin.
 
     What it is asked for is fitted anew, with some values more than that takes, which tell whether
     it is a polynomial still.
     """
 
-    polynomial = None
-
     def __init__(self, source: Flow, degree: int) -> None:
-        self.source, self.degree = source, max(1, degree)
-        self.spacing = source.spacing
-        self._fit = _fit(self.degree, source.length)
-        # Where its numbers are among those of a flow (`motion.taylor`).
-        self.rows = slice(4, 4 + 3 * _COUNT[self.degree])
+        self.source, self._asked = source, max(1, degree)
+        self._fit = _fit(self._asked, source.length)
+        shape = len(self._fit.solve), 3
+        about = self.derivatives, shape, ("function",), False, source.breaks, source.spacing
+        super().__init__(Signal([Part(*about)]), _units(shape[0]), None, source.spec())
 
     def derivatives(self, t: float) -> Array:
         """Derivatives at the origin (4, 10 or 20, 3); raises FlowFunctionError."""
@@ -102,29 +102,16 @@ class PolynomialInTime:
         size = np.abs(values)
         off = np.abs(fit.misfit @ values).max()
         if not off <= _STILL_ALIKE * size.max():
-            raise FlowFunctionError(_no_longer(self.degree, f"at t = {t:.6g}"), ("function",))
+            raise FlowFunctionError(_no_longer(self._asked, f"at t = {t:.6g}"), ("function",))
         found: Array = fit.solve @ values
         found[np.abs(found) <= _NOISE * (fit.size @ size)] = 0.0
         return found
 
-    def numbers(self, t: float) -> list[float]:
-        """Velocity, gradient and the higher derivatives at the origin, as `rows` of a flow."""
-        found = self.derivatives(t)
-        parts = [found[:1], found[1:4], found[4:10], found[10:20]]
-        numbers: list[float] = np.concatenate([part.T.ravel() for part in parts]).tolist()
-        return numbers
 
-    def frozen(self, t: float) -> PolynomialFlow:
-        """The polynomial of an instant."""
-        return _polynomial(self.derivatives(t))
-
-    def gradient(self, x: Array, t: float = 0.0) -> Array:
-        """Velocity gradient (..., 3, 3)."""
-        return self.frozen(t).gradient(x)
-
-    def odd_about(self, x: Array) -> Array:
-        """Whether u(x + r) = -u(x - r) at all times: nowhere for certain."""
-        return np.zeros(np.shape(x)[:-1], dtype=bool)
+@cache
+def _units(count: int) -> list[PolynomialFlow]:
+    """The flows of which one derivative at the origin is one, the others zero."""
+    return [_polynomial(row.reshape(count, 3)) for row in np.eye(3 * count)]
 
 
 @dataclass
@@ -151,7 +138,7 @@ class Recognition:
         if not off.max() <= _STILL_ALIKE:
             place = ", ".join(f"{value:.6g}" for value in points[int(np.argmax(off))])
             where = f"at ({place}), t = {t:.6g}"
-            raise FlowFunctionError(_no_longer(self.flow.degree, where), ("function",))
+            raise FlowFunctionError(_no_longer(self.flow.degree or 0, where), ("function",))
 
     def require_stokesian(self, t: float, radius: float) -> None:
         """Raise FlowError where it is no Stokes flow, told by the derivatives of an instant."""

@@ -9,6 +9,7 @@ from typing import Any
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.above_wall import AboveWall
 from qbxstokes.flows.base import Flow, SumFlow
+from qbxstokes.flows.changing import ChangingFlow, in_time
 from qbxstokes.flows.named import (
     Extension,
     Linear,
@@ -67,7 +68,8 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
         raise FlowError(f"{what}; {hint}", () if name is None else ("type",))
     position = rest.pop("position", None)
     rotation = rest.pop("rotation", None)
-    flow = REGISTRY[name].from_spec(rest, build_flow)
+    kind = REGISTRY[name]
+    flow = in_time(kind, rest, build_flow) or kind.from_spec(rest, build_flow)
     if position is None and rotation is None:
         return flow
     if rotation is not None:
@@ -75,4 +77,4 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
     if position is not None:
         flow = flow.shifted(tensor(position, "position", (3,)))
     # Tensors moved and turned would hide what was asked for; keep its name for the record.
-    return flow.named(dict(spec)) if isinstance(flow, PolynomialFlow) else flow
+    return flow.named(dict(spec)) if isinstance(flow, (PolynomialFlow, ChangingFlow)) else flow

@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import FlowError, FlowFunctionError
-from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.samples import InFile, InRows, View
 from qbxstokes.flows.user import resolve_paths
 from qbxstokes.flows.values import SINGLE, Array, check_keys, number, whole
 from qbxstokes.tables import HDF5, TableError, check_file, read_table
 
-OUTSIDE = "error", "clamp", "repeat"
 TRACES = "project", "error"
 
 
-class GradientSeries:
+class GradientSeries(Series):
     """Velocity gradients A(t) from samples: times (T,), gradients (..., T, 3, 3) or (..., T, 9).
 
-    Leading axes are paths, each with gradients of its own at the same times. The nine components
-    are by rows, du1/dx1 du1/dx2 ...; eight leave out the last, which follows from div u = 0.
-    Samples keep their type (float32 is not copied); only their last axes are looked at here.
-
-    interpolation: "sextic", the polynomial through the six samples around an instant (its error
-    goes as spacing^6), "linear" or "hold" (the sample before it). trace: "project" takes a third of
-    the trace off the diagonal and `trace` tells its largest size relative to |A|; "error" refuses.
-    outside: "error" beyond the samples, "clamp" or "repeat" (the period is that of the samples).
+    The nine components are by rows, du1/dx1 du1/dx2 ...; eight leave out the last, which follows
+    from div u = 0. interpolation and outside as in `Series`. trace: "project" takes a third of the
+    trace off the diagonal and `trace` tells its largest size relative to |A|; "error" refuses.
     """
 
     def __init__(
@@ -45,52 +37,39 @@ class GradientSeries:
         trace: str = "project",
         outside: str = "error",
     ) -> None:
-        t = np.asarray(times, dtype=np.float64)
+        if trace not in TRACES:
+            raise FlowError(f"trace is one of {', '.join(TRACES)}, not {trace!r}", ("trace",))
         a = gradients if hasattr(gradients, "shape") else np.asarray(gradients, dtype=np.float64)
-        for name, value, known in (
-            ("interpolation", interpolation, INTERPOLATIONS),
-            ("trace", trace, TRACES),
-            ("outside", outside, OUTSIDE),
-        ):
-            if value not in known:
-                raise FlowError(f"{name} is one of {', '.join(known)}, not {value!r}", (name,))
         if isinstance(a, np.ndarray) and a.shape[-2:] == (3, 3):
             a = a.reshape(*a.shape[:-2], 9)
-        if t.ndim != 1 or len(t) < 2 or np.any(np.diff(t) <= 0.0) or not np.isfinite(t).all():
-            raise FlowError("times of a series must be two or more finite, increasing instants")
-        if a.ndim < 2 or a.shape[-1] not in (8, 9) or a.shape[-2] != len(t):
-            right = f"(..., {len(t)}, 3, 3), (..., {len(t)}, 9) or (..., {len(t)}, 8)"
+        super().__init__(times, a, interpolation=interpolation, outside=outside)
+        if self.samples.shape[-1] not in (8, 9):
+            right = self._shapes(len(self.times))
             raise FlowError(f"gradients have shape {a.shape}; {right} is expected", ("gradient",))
-        if interpolation == "sextic" and len(t) < 6:
-            raise FlowError(
-                f"{len(t)} samples are too few for six points; interpolation: linear", ("gradient",)
-            )
-        self.times, self.samples = t, a
-        self.interpolation, self.trace_rule, self.outside = interpolation, trace, outside
-        self.trace = 0.0
+        self.trace_rule, self.trace = trace, 0.0
+
+    name = "gradients"
+
+    def _shapes(self, count: int) -> str:
+        return f"(..., {count}, 3, 3), (..., {count}, 9) or (..., {count}, 8)"
+
+    def __call__(self, t: float) -> Array:
+        """A (3, 3) at an instant, of a series of one path."""
+        return super().__call__(t).reshape(3, 3)
 
     @classmethod
     def from_file(cls, file: str | Path, **keys: Any) -> GradientSeries:
         """Of an HDF5, netCDF-4, NPY or CSV file, by the keys of `series_of_file`."""
         return series_of_file({"file": str(file), **keys})
 
-    @property
-    def paths(self) -> tuple[int, ...]:
-        """Shape of the leading axes."""
-        return tuple(self.samples.shape[:-2])
-
-    @property
-    def spacing(self) -> float:
-        """Least time between samples."""
-        return float(np.diff(self.times).min())
-
-    def __len__(self) -> int:
-        return math.prod(self.paths)
-
     @classmethod
     def gaussian(cls, **keys: Any) -> GradientSeries:
         """Paths at random (`random_gradients`): end, spacing, paths, rate, correlation_time, ..."""
         return series_of_file({"process": "gaussian", **keys})
+
+    def thinned(self) -> GradientSeries:
+        """The same of every other sample."""
+        return self._with(self.times[::2], self._rows[:, ::2])
 
     def path(self, number: int) -> GradientSeries:
         """The series of one path, by its number in the order of the leading axes."""
@@ -104,21 +83,11 @@ class GradientSeries:
             return self
         return self._with(self.times, View(self._rows, numbers, (0, len(self.times))))
 
-    def thinned(self) -> GradientSeries:
-        """The same of every other sample."""
-        return self._with(self.times[::2], self._rows[:, ::2])
-
     def part(self, paths: slice, instants: slice) -> GradientSeries:
         """Some of the paths, by their numbers, at some of the instants; nothing is read."""
         first, last, _ = instants.indices(len(self.times))
         numbers = None if paths == slice(None) else np.arange(*paths.indices(len(self)))
         return self._with(self.times[first:last], View(self._rows, numbers, (first, last)))
-
-    @property
-    def _rows(self) -> Any:
-        """Samples by path and instant, of which parts may be read."""
-        whole = self.samples
-        return whole.reshape(-1, *whole.shape[-2:]) if isinstance(whole, np.ndarray) else whole
 
     def _with(self, times: Array, samples: Any) -> GradientSeries:
         rules = {"interpolation": self.interpolation, "trace": self.trace_rule}
@@ -129,15 +98,10 @@ class GradientSeries:
 
         Raises FlowError for what is no number.
         """
-        a = np.array(self._rows[first:stop, begin:end], dtype=np.float64)
+        a = super().read(first, stop, begin, end)
         if a.shape[-1] == 8:
             a = np.concatenate([a, -(a[..., :1] + a[..., 4:5])], axis=-1)
-        size, least = float(np.max(a, initial=0.0)), float(np.min(a, initial=0.0))
-        if not (math.isfinite(size) and math.isfinite(least)):
-            path, sample, _ = np.argwhere(~np.isfinite(a))[0]
-            where = f"path {first + path}, sample {begin + sample}"
-            raise FlowError(f"{where} of the series is not finite")
-        size = max(size, -least)
+        size = max(float(np.max(a, initial=0.0)), -float(np.min(a, initial=0.0)))
         third = (a[..., 0] + a[..., 4] + a[..., 8]) / 3.0
         self.trace = max(self.trace, 3.0 * float(np.abs(third).max()) / size if size else 0.0)
         if self.trace_rule == "error" and self.trace > SINGLE:
@@ -145,66 +109,6 @@ class GradientSeries:
         for i in (0, 4, 8):
             a[..., i] -= third
         return a
-
-    def inside(self, t: float) -> float:
-        """The instant of the samples that stands for t; raises FlowError beyond them."""
-        first, last = float(self.times[0]), float(self.times[-1])
-        if first <= t <= last:
-            return t
-        if self.outside == "clamp":
-            return min(max(t, first), last)
-        if self.outside == "repeat":
-            return first + (t - first) % (last - first)
-        raise FlowFunctionError(
-            f"t = {t:.6g} is outside the series, which covers {first:g} to {last:g}; "
-            "outside: clamp or repeat goes on",
-            ("outside",),
-        )
-
-    def breaks(self, end: float) -> Array:
-        """The samples between 0 and `end`: between them the interpolant is a polynomial."""
-        first, last = float(self.times[0]), float(self.times[-1])
-        found = self.times
-        if self.outside == "repeat":
-            turns = np.arange(math.floor(-first / (last - first)), math.ceil(end / (last - first)))
-            found = np.unique(turns[:, None] * (last - first) + self.times[:-1])
-        return found[(found > 0.0) & (found < end)]
-
-    def at(self, t: Array) -> Array:
-        """A at instants (...) within the samples, (..., 3, 3), of a series of one path."""
-        samples, count = self.read(0, 1)[0], INTERPOLATIONS[self.interpolation]
-        flat = np.array([self.inside(s) for s in t.ravel().tolist()])
-        places = np.clip(np.searchsorted(self.times, flat, "right") - 1, 0, len(self.times) - 2)
-        first, weights = power_weights(self.times, self.interpolation)
-        s = (flat - self.times[places]) / np.diff(self.times)[places]
-        shares = np.einsum("nk,nkj->nj", s[:, None] ** np.arange(count), weights[places])
-        window = samples[first[places][:, None] + np.arange(count)]
-        found: Array = np.einsum("nj,njc->nc", shares, window)
-        return found.reshape(*t.shape, 3, 3)
-
-    def function(self) -> Callable[[float], Array]:
-        """A(t) as a function, of a series of one path."""
-        if len(self) != 1:
-            raise FlowError(f"a series of {len(self)} paths; name a trajectory", ("trajectory",))
-        samples = self.read(0, 1)[0]
-        count, last = INTERPOLATIONS[self.interpolation], len(self.times) - 2
-        first, weights = power_weights(self.times, self.interpolation)
-        times, degrees = self.times.tolist(), np.arange(count)
-        known: tuple[int, Array] = (-1, samples[:count])  # the interval of the last instant
-
-        def gradient(t: float) -> Array:
-            nonlocal known
-            at = self.inside(t)
-            interval = min(bisect_right(times, at) - 1, last)
-            if known[0] != interval:
-                begin = first[interval]
-                known = interval, weights[interval] @ samples[begin : begin + count]
-            if count == 1 and at >= times[-1]:
-                return np.asarray(samples[-1].reshape(3, 3))
-            s = (at - times[interval]) / (times[interval + 1] - times[interval])
-            return np.asarray((s**degrees @ known[1]).reshape(3, 3))
-
-        return gradient
 
 
 def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> GradientSeries:

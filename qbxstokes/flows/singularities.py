@@ -79,6 +79,7 @@ class Stokeslet(Singularity):
     """Point force F (the strength) on the fluid: u = (F/r + r (F.r)/r^3)/(8 pi)."""
 
     type_name = "stokeslet"
+    linear_in = ("strength",)
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.strength = tensor(strength, "strength", (3,))
@@ -131,6 +132,7 @@ class Rotlet(Singularity):
     """Point torque M (the strength) on the fluid: u = M x r/(8 pi r^3); no pressure."""
 
     type_name = "rotlet"
+    linear_in = ("strength",)
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.strength = tensor(strength, "strength", (3,))

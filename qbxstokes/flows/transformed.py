@@ -18,6 +18,7 @@ class TransformedFlow(Flow):
     """u'(x) = factor R u(R^T (x - position)) of any flow u, for those with no closed form of it."""
 
     type_name = "transformed"
+    linear_in = ("factor",)
 
     def __init__(
         self,

@@ -319,13 +319,9 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
         path, separator, attribute = result["function"].rpartition(":")
         if separator:
             result["function"] = f"{absolute(directory, path)}:{attribute}"
-    if isinstance(result.get("hessian"), str):
-        result["hessian"] = absolute(directory, result["hessian"])
-    if isinstance(gradient := result.get("gradient"), str):
-        result["gradient"] = absolute(directory, gradient)
-    elif isinstance(gradient, Mapping) and "file" in gradient:
-        file = absolute(directory, str(gradient["file"]))
-        result["gradient"] = {**gradient, "file": file}
+    for key, value in result.items():
+        if key not in ("function", "terms", "flow"):
+            result[key] = _with_files(value, directory)
     if isinstance(result.get("terms"), list | tuple):
         result["terms"] = [
             resolve_paths(term, directory) if isinstance(term, Mapping) else term
@@ -334,6 +330,21 @@ def resolve_paths(spec: Mapping[str, Any], directory: str | Path) -> dict[str, A
     if isinstance(result.get("flow"), Mapping):
         result["flow"] = resolve_paths(result["flow"], directory)
     return result
+
+
+def _with_files(value: Any, directory: str | Path) -> Any:
+    """What a key is given, with the names of files in it made absolute."""
+    if isinstance(value, str):
+        return absolute(directory, value) if ".py:" in value else value
+    if isinstance(value, list):
+        return [_with_files(entry, directory) for entry in value]
+    if not isinstance(value, Mapping):
+        return value
+    inner = {name: _with_files(entry, directory) for name, entry in value.items()}
+    return {
+        **inner,
+        **({"file": absolute(directory, str(value["file"]))} if "file" in value else {}),
+    }
 
 
 def absolute(directory: str | Path, path: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,6 +15,9 @@ from qbxstokes.expressions import LARGEST
 
 Array = NDArray[np.float64]
 Key = tuple[str | int, ...]
+Exponents = tuple[int, int, int]
+
+_FACTOR = re.compile(r"x([123])(?:\^([0-9]))?")
 # What rounding leaves of numbers of double and of single precision, relative to the largest.
 DOUBLE, SINGLE = 1e-12, 1e-6
 
@@ -145,3 +149,22 @@ def rotation_matrix(value: Any, name: str = "rotation") -> Array:
     if np.linalg.det(left @ across) < 0.0:
         raise FlowError(right, (name,))
     return settled(matrix, left @ across, right, (name,))
+
+
+def parse_monomial(text: str) -> Exponents:
+    """Exponents of x1, x2, x3 in a monomial such as x2^2, x1*x3 or 1; raises FlowError."""
+    wrong = FlowError(
+        f"{text!r} is not a monomial of degree <= 3 in x1, x2, x3; write e.g. 1, x2, "
+        "x2^2, x1*x3 or x1*x2^2"
+    )
+    exponents = [0, 0, 0]
+    if text.strip() != "1":
+        # A power written ** would be torn apart by splitting at products.
+        for factor in re.split(r"[*\s]+", text.replace("**", "^").strip()):
+            match = _FACTOR.fullmatch(factor)
+            if match is None:
+                raise wrong
+            exponents[int(match[1]) - 1] += int(match[2] or 1)
+    if sum(exponents) > 3:
+        raise wrong
+    return exponents[0], exponents[1], exponents[2]

@@ -85,7 +85,7 @@ class CoupledEquations(RigidBodyEquations):
         self._ratios, self._relaxation = ratios, relaxation
         self._mass = stokes_number * volume
         self._moments = stokes_number[:, None] * inertia
-        self._table, self._loads, self._changing, self._force_free = None, None, None, False
+        self._table, self._loads, self.changing, self._force_free = None, None, None, False
         self._latest: tuple[float, Array, tuple[Array, Array]] | None = None
 
     @property

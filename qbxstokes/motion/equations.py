@@ -40,11 +40,12 @@ __all__ = ["Constraints", "Inertia", "Loads", "RigidBodyEquations"]
 
 Array = NDArray[np.float64]
 
-# From this size of the block, or this number of right-hand sides of a single body or of fewer
-# lanes than that, the compiled kernels repay their import (0.4 s, and some seconds of compilation
-# once on a machine, against some 6 us a right-hand side of one body and 80 us of several).
+# From this size of the block, or this number of right-hand sides of single bodies in a process or
+# of fewer lanes than that, the compiled kernels repay their import (0.4 s, and some seconds of
+# compilation once on a machine, against some 6 us a right-hand side of one body and 80 us of
+# several). They find the same numbers, to the last bit.
 COMPILED_BLOCK = 8
-COMPILED_EVALUATIONS = 500_000
+COMPILED_EVALUATIONS = 60_000
 COMPILED_EVALUATIONS_OF_FEW = 1_000
 
 
@@ -81,8 +82,10 @@ class RigidBodyEquations(Pieces):
         possible = self._table is not None and self.constraints.free
         if self.evaluation != "auto":
             return possible and self.evaluation == "compiled"
-        enough = COMPILED_EVALUATIONS if self.n_lanes == 1 else COMPILED_EVALUATIONS_OF_FEW
-        return possible and (self.n_lanes >= COMPILED_BLOCK or evaluations >= enough)
+        if self.n_lanes == 1:
+            return possible and evaluations >= COMPILED_EVALUATIONS
+        few = evaluations >= COMPILED_EVALUATIONS_OF_FEW
+        return possible and (self.n_lanes >= COMPILED_BLOCK or few)
 
     def rate_function(
         self, evaluations: float = 0.0, still: Array | None = None
@@ -129,9 +132,8 @@ class RigidBodyEquations(Pieces):
 
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""
-        if self._changing or not (self._steady_loads and self.compiled(evaluations)):
-            return None
-        return self._block()
+        steady = self._steady_loads and (self.changing is None or self.changing.single)
+        return self._block() if steady and self.compiled(evaluations) else None
 
     def at_rest(self, y: Array) -> bool:
         """Whether all centres stay where they are in the states y (n_lanes, n_state), for good.
@@ -172,6 +174,7 @@ class RigidBodyEquations(Pieces):
             None if self._loads is None else self._loads.rows,
             None if self.massless else self._rates,
             self._follow,
+            changing=self.changing,
         )
 
     def _compiled(
@@ -183,13 +186,11 @@ class RigidBodyEquations(Pieces):
         block = self._block()
         run = compiled_loops(block.kernels, block.degree, self.massless).by_name[loop]
         flow, body, rates, follow = block.flow, block.body, block.rates, block.follow
-        changing = self._changing
 
         def function(t: float, y: Array, out: Array) -> None:
             loads = None if self._loads is None else self._loads.at(t)
-            if changing is not None:
-                for row, value in enumerate(self._numbers_at(t), changing.start):
-                    flow[row] = value
+            if self.changing is not None:
+                flow[self.changing.rows] = self.changing.at(t)
             run(y, out, flow, body, loads, rates, follow, *more)
 
         return function
@@ -250,13 +251,12 @@ class RigidBodyEquations(Pieces):
 
         bodies = self.bodies
 
-        rows_in_time = self._changing
-        n_changing = 0 if rows_in_time is None else rows_in_time.stop - rows_in_time.start
+        n_changing = 0 if self.changing is None else len(self.changing.rows)
         after_loads = 12 * handed
 
         def equations(rows: Any, more: Any) -> Any:
             pushes = tuple(more[:12]) if handed else loads
-            flow = self._flow_at(more[after_loads + n_rates :]) if n_changing else self._flow
+            flow = self._flow_of(more[after_loads + n_rates :]) if n_changing else self._flow
             arguments = rows, flow, bodies.law, bodies.mobility, pushes
             if self.massless:
                 return bodies.kernels.massless(*arguments)
@@ -274,7 +274,7 @@ class RigidBodyEquations(Pieces):
 
         def with_numbers(t: float, rows: Any) -> Any:
             forces = self._rows(given.at(t)) if given is not None and handed else ()
-            changing = self._numbers_at(t) if n_changing else ()
+            changing = () if self.changing is None else self.changing.at(t)
             return kernel(t, rows, (*forces, *(rates if n_rates else ()), *changing))
 
         return with_numbers

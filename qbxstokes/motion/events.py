@@ -170,6 +170,11 @@ class Events(EventLog):
             self._all.insert(0, Event("half_turns", self.passage.value))
         self._signs: dict[str, float] = {}
 
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to watch for."""
+        return not self._all and self.contacts is None
+
     def state(self) -> dict[str, Any]:
         """All that is remembered from step to step, as plain data for a checkpoint."""
         return super().state() | {

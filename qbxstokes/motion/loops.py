@@ -38,7 +38,8 @@ _N_Q = ORIENTATION.stop - ORIENTATION.start
 class BlockConstants:
     """What the compiled loop over a block needs besides the states, see the module's text.
 
-    kernels: the class of the law. rates, gyration and follow are of inertial bodies alone.
+    kernels: the class of the law. rates and follow are of inertial bodies alone. changing: the rows
+    of the flow that change in time (`flow_rows`), None for steady flows.
     """
 
     kernels: Any
@@ -49,6 +50,7 @@ class BlockConstants:
     rates: Array | None
     follow: tuple[float, float] | None
     still: Array | None = None
+    changing: Any = None
 
 
 def copy_tile(source: Any, start: int, tile: Any, count: int) -> None:

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import frames
 from qbxstokes.motion.bodies import Bodies
+from qbxstokes.motion.flow_rows import FlowRows
 from qbxstokes.motion.lanes import ForceTorque, FreeMotion, PerLane, provider_of
 from qbxstokes.motion.layout import (
     N_INERTIAL,
@@ -32,14 +34,14 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
-from qbxstokes.motion.taylor import IN_TIME, pack_flow, unpack_flow
+from qbxstokes.motion.taylor import pack_flow, unpack_flow
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
 
 Array = NDArray[np.float64]
 # Parts of a run after which a flow that changes is looked at beforehand.
-_SHARES = [0.04 * number for number in range(1, 25)]
+_SHARES = 0.04 * np.arange(25)
 Evaluation = Literal["auto", "plain", "compiled"]
 Inertia = Literal["both", "translation", "rotation"]
 
@@ -93,19 +95,19 @@ class Pieces:
             self._rates *= np.array([[1.0 - move], [1.0 - move], [1.0 - turn], [1.0 - turn]])
 
         self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
+        self._mean_rate: tuple[tuple[float, float], Array] | None = None
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
-        kinds = (PolynomialFlow, *IN_TIME)
+        kinds = (PolynomialFlow, ChangingFlow)
         polynomial = {isinstance(entry, kinds) for entry in self._flows.distinct}
-        # Rows of the table that change in time: they are those of the last instant.
-        parts = [entry.rows for entry in self._flows.distinct if isinstance(entry, IN_TIME)]
-        ends = min((p.start for p in parts), default=0), max((p.stop for p in parts), default=0)
-        self._changing = slice(*ends) if parts else None
+        # Of flows that change in time, the table holds the numbers of the last instant.
+        self.changing: FlowRows | None = None
         if polynomial == {True}:
             self._table = self._flows.table(pack_flow)
             self._degree = int(np.max(self._table[0]))
-            numbers = list(self._table) if self._table.ndim == 2 else self._table.tolist()
-            self._flow = unpack_flow([self._degree, *numbers[1:]])
+            if any(isinstance(entry, ChangingFlow) for entry in self._flows.distinct):
+                self.changing = FlowRows(self._flows, self._table)
+            self._flow = self._flow_of([])
         elif polynomial == {False}:
             self._provider = provider_of(self._flows, n_lanes)
         else:
@@ -175,31 +177,21 @@ class Pieces:
         value = vectors(t) if callable(vectors) else vectors
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.n_lanes, 3))
 
-    def _numbers_at(self, t: float) -> list[Any]:
-        """The numbers of the flow that change; rows each for lanes that differ."""
-        if self._flows.shared:
-            return list(self._flows.only.numbers(t))
+    def _flow_of(self, changing: Any) -> Any:
+        """The flow as the kernels take it, with other numbers in the rows that change."""
         assert self._table is not None
-        for flow, lanes in self._flows.groups():
-            if isinstance(flow, IN_TIME):
-                self._table[flow.rows, lanes] = np.reshape(flow.numbers(t), (-1, 1))
-        return list(self._table[self._changing])
-
-    def _flow_at(self, numbers: Any) -> Any:
-        """The flow as the kernels take it, with other numbers where they change."""
-        degree, velocity, _, second, third, origin = self._flow
-        assert self._changing is not None
-        if self._changing.start > 4:
-            return degree, velocity, tuple(numbers), second, third, origin
-        second = tuple(numbers[12:30]) if degree > 1 else second
-        third = tuple(numbers[30:60]) if degree > 2 else third
-        return degree, tuple(numbers[:3]), tuple(numbers[3:12]), second, third, origin
+        numbers = list(self._table) if self._table.ndim == 2 else self._table.tolist()
+        numbers[0] = self._degree
+        if len(changing) and self.changing is not None:
+            for row, value in zip(self.changing.rows.tolist(), changing, strict=True):
+                numbers[row] = value
+        return unpack_flow(numbers)
 
     def _free(self, t: float, rows: Any) -> Any:
         """Free motion, six numbers or rows."""
         if self._table is not None:
             kernels, law = self.bodies.kernels, self.bodies.law
-            flow = self._flow_at(self._numbers_at(t)) if self._changing else self._flow
+            flow = self._flow_of(self.changing.at(t)) if self.changing else self._flow
             return kernels.free(rows, flow, law)
         assert self._provider is not None
         y = np.stack([np.atleast_1d(row) for row in rows[:N_MASSLESS]], axis=-1)
@@ -377,13 +369,19 @@ class Pieces:
         return np.where(rate > 0.0, rate, 1.0)
 
     def mean_rate(self, t: float, y: Array, horizon: float) -> Array:
-        """`time_rate` (n,), in linear flows that change its mean until `horizon` later."""
-        if not self._changing:
+        """`time_rate` (n,), in polynomial flows that change its mean until `horizon` later."""
+        if self.changing is None:
             return self.time_rate(t, y)
-        found = [self.time_rate(t, y)]
-        with suppress(FlowError):  # told when the run comes to it
-            found += [self.time_rate(t + horizon * share, y) for share in _SHARES]
-        return np.asarray(np.mean(found, axis=0))
+        if self._mean_rate is None or self._mean_rate[0] != (t, horizon):
+            rates, instants = self.time_rate(t, y), t + horizon * _SHARES
+            for flow, lanes in self._flows.groups():
+                if isinstance(flow, ChangingFlow):
+                    with suppress(FlowError):  # told when the run comes to it
+                        gradients = flow.gradients(y[lanes, POSITION], instants)
+                        sizes = np.linalg.norm(gradients, axis=(-2, -1))
+                        rates[lanes] = np.mean(np.where(sizes > 0.0, sizes, rates[lanes]), axis=0)
+            self._mean_rate = (t, horizon), rates
+        return self._mean_rate[1]
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
         """Velocity gradient at the centres, (n, 3, 3); of the free velocity with a provider."""

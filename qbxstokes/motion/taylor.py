@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.flows.changing import LinearInTime
+from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.recognition import PAIRS, TRIPLES, PolynomialInTime
+from qbxstokes.flows.recognition import PAIRS, TRIPLES
 
 # float, complex or a NumPy row of either; numba infers its own types.
 Scalar = Any
@@ -26,9 +26,6 @@ Array = NDArray[np.float64]
 # Numbers of a flow, and how many of them the kernels of a degree read.
 N_FLOW = 64
 ROWS = {1: 16, 2: 34, 3: 64}
-
-# Flows whose numbers change in time; those that do are `rows` of them.
-IN_TIME = LinearInTime, PolynomialInTime
 
 
 def three(t: Any, i: int) -> Vector:
@@ -153,14 +150,14 @@ def pack_second(second: Array) -> Array:
     return second[..., rows, columns].reshape(*second.shape[:-3], 18)
 
 
-def pack_flow(flow: PolynomialFlow | LinearInTime | PolynomialInTime) -> Array:
+def pack_flow(flow: PolynomialFlow | ChangingFlow) -> Array:
     """A flow as the numbers (64,) that `unpack_flow` reads: a lower degree needs fewer (`ROWS`).
 
     One that changes is taken at t = 0.
     """
     degree = [max(flow.degree or 0, 1)]
-    if not isinstance(flow, PolynomialFlow):
-        flow = flow.frozen(0.0)
+    if isinstance(flow, ChangingFlow):
+        flow = flow.at(0.0)
     second = pack_second(flow.hessian)
     third = [flow.third[i, j, k, m] for i in range(3) for j, k, m in TRIPLES]
     parts = degree, flow.origin, flow.value, flow.gradient_tensor.ravel(), second, third

@@ -53,7 +53,7 @@ class Inside:
             return self._system.read(self._vector)
         if self._system.method in INTERPOLANT_SUFFICES:
             self._ts.interpolate(t, self.scratch)
-        elif many and self._system.native is None:
+        elif many and (self._system.layout.columns == 1 or self._system.native is None):
             if self._polynomial is None or self._polynomial[0] != before:
                 self._polynomial = before, self._nodes(before, start, after)
             weights = _hermite((t - before) / (after - before), after - before)

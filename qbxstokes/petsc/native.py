@@ -66,11 +66,35 @@ def _frozen(context, array):  # type: ignore[no-untyped-def]
 # follow the flow, and centres that stay.
 _loop: Any = None
 _STATE, _FLOW, _BODY = 7, 64, 17
-_FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL = (False,) * 6
+_FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL, _CHANGING = (False,) * 7
 
-# Places of the constants: calls so far, number of columns, and where the parts begin, in the order
-# of `BlockConstants`.
-_CALLS, _COLUMNS, _FOLLOW, _PARTS = 0, 1, 2, 4
+# Places of the constants: calls so far, number of columns, what follows the flow, address and size
+# of the pieces of a flow that changes, and where the parts begin, in the order of `BlockConstants`.
+_CALLS, _COLUMNS, _FOLLOW, _PIECES, _SIZE, _PARTS = 0, 1, 2, 4, 5, 6
+# Places in the pieces (`flow_rows`): how many, coefficients and rows of each, the last one asked
+# for, the instant as of which later ones are seen, and where rows and numbers begin.
+_COUNT, _DEGREES, _ROWS, _PLACE, _LAST, _HEAD = 0, 1, 2, 3, 4, 5
+
+
+@numba.njit(error_model="numpy")
+def _put(t: float, p: Any, flow: Any) -> None:
+    """The numbers that a flow has at time t into its table, from pieces p."""
+    count, degrees, rows = int(p[_COUNT]), int(p[_DEGREES]), int(p[_ROWS])
+    edges = _HEAD + rows
+    origins = edges + count + 1
+    i, t = int(p[_PLACE]), min(t, p[_LAST])
+    while i > 0 and t < p[edges + i]:
+        i -= 1
+    while i + 1 < count and t >= p[edges + i + 1]:
+        i += 1
+    p[_PLACE] = i
+    x = (t - p[origins + i]) * p[origins + count + i]
+    first = origins + 2 * count + i * degrees * rows
+    for row in range(rows):
+        value = p[first + (degrees - 1) * rows + row]
+        for k in range(degrees - 2, -1, -1):
+            value = value * x + p[first + k * rows + row]
+        flow[int(p[_HEAD + row])] = value
 
 
 def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
@@ -94,6 +118,8 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     body = c[after_flow:after_body].reshape(_BODY, n) if _BODIES else c[after_flow:after_body]
     loads = c[after_body:after_loads].reshape(12, n) if _LOADED else None
     still = c[after_rates:after_still].reshape(3, n) if _STILL else None
+    if _CHANGING:
+        _put(t, carray(pointer(np.intp(c[_PIECES])), (int(c[_SIZE]),)), flow)
     y = _frozen(carray(pointer(places[0]), (_STATE, n)))
     out = carray(pointer(places[1]), (_STATE, n))
     rates = c[after_loads:after_rates].reshape(4, n) if _INERTIAL else None
@@ -116,6 +142,7 @@ def _compiled(
     inertial: bool,
     following: bool,
     still: bool,
+    changing: bool,
 ) -> Any:
     """`_rate` for one kind of block, from numba's cache on disk where it is there."""
     loops = compiled_loops(kernels, degree, not inertial)
@@ -128,11 +155,13 @@ def _compiled(
         "_INERTIAL": inertial,
         "_FOLLOWING": following,
         "_STILL": still,
+        "_CHANGING": changing,
     }
     copy = FunctionType(_rate.__code__, namespace, "_rate")
     copy.__module__ = __name__
     # The cache looks at this file alone: the name tells the rest.
-    kind = "".join(f"{flag:d}" for flag in (flows, bodies, loaded, inertial, following, still))
+    flags = flows, bodies, loaded, inertial, following, still, changing
+    kind = "".join(f"{flag:d}" for flag in flags)
     law = kernels.__name__.rpartition(".")[2]
     copy.__qualname__ = f"rate_{law}_{degree}_{sizes[0]}_{kind}_{loops.version}"
     return numba.cfunc(SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(copy)
@@ -172,14 +201,32 @@ class NativeRate:
             block.rates is not None,
             block.follow is not None,
             block.still is not None,
+            block.changing is not None,
         )
         head = np.zeros(_PARTS)
         head[_COLUMNS] = layout.columns
         if block.follow is not None:
-            head[_FOLLOW:_PARTS] = block.follow
+            head[_FOLLOW : _FOLLOW + 2] = block.follow
         parts = block.flow, block.body, block.loads, block.rates, block.still
         given = [part.ravel() for part in parts if part is not None]
         self._constants = np.concatenate([head, *given])
+        self._changing, self._known = block.changing, None
+        self._pieces = np.zeros(_HEAD)
+        self.renew()
+
+    def renew(self) -> None:
+        """Take up what has become known of a flow that changes in time."""
+        if self._changing is None:
+            return
+        edges, *parts = self._changing.pieces
+        if self._known is not edges:
+            self._known, coefficients = edges, parts[-1]
+            head = [len(coefficients), *coefficients.shape[1:], 0.0, 0.0]
+            given = [head, self._changing.rows, edges, *(part.ravel() for part in parts)]
+            self._pieces = np.concatenate(given)
+            self._constants[_PIECES] = self._pieces.ctypes.data
+            self._constants[_SIZE] = len(self._pieces)
+        self._pieces[_LAST] = self._changing.last
 
     @property
     def calls(self) -> int:

@@ -186,6 +186,7 @@ class Run:
         ts, times = self.ts, self.times
         index, t = self.checkpoint.next_sample, self.checkpoint.time
         samples: list[Array] = []
+        watch = None if getattr(observe, "idle", False) else observe
         while index < len(times) and times[index] <= t:
             samples.append(self._system.read(self._vector))
             index += 1
@@ -198,8 +199,8 @@ class Run:
             try:
                 self._to_break(t, start)
                 t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
-                if observe is not None:
-                    halt = observe(self._inside.observed(before, start, t))
+                if watch is not None:
+                    halt = watch(self._inside.observed(before, start, t))
             except (FlowError, ContactError, ConvergenceError) as error:
                 if observe is None:
                     raise
@@ -208,7 +209,7 @@ class Run:
                 self._vector.setArray(start)
             self.reached = t
             reach = t if halt is None else halt
-            behind = int(np.searchsorted(times, reach, "right"))
+            behind = index if reach < times[index] else int(np.searchsorted(times, reach, "right"))
             many = behind - index > FEW
             while index < behind:
                 samples.append(self._inside.state_at(before, start, t, times[index], many))
@@ -241,19 +242,23 @@ class Run:
 
     def _to_break(self, t: float, start: Array) -> None:
         """One accepted step from t, up to the next break at most."""
-        place = int(np.searchsorted(self._breaks, t, "right"))
-        if place == len(self._breaks):
-            if len(self._breaks):
-                self._watch.until(self._end)
-            self._step(start)
-            return
-        ts, limit = self.ts, float(self._breaks[place])
-        self._watch.until(limit)
-        length = ts.getTimeStep()
-        if t + length > limit - 1e-3 * length:
+        ts, breaks = self.ts, self._breaks
+        length, place = ts.getTimeStep(), int(np.searchsorted(breaks, t, "right"))
+        last = place == len(breaks)
+        limit = self._end if last else float(breaks[place])
+        if len(breaks):
+            self._watch.until(limit)
+        if not last and t + length > limit - 1e-3 * length:
             ts.setTimeStep(limit - t)
+        reach = min(t + length, limit, self._end)
+        known = self._system.cover(t, reach)
+        if known < reach:
+            if known - t <= 1e-13 * self._end:
+                self.counter.refusal = self._system.refusal
+                raise self._failed("", NO_VALUE)
+            ts.setTimeStep(known - t)
         self._step(start)
-        if ts.getTime() >= limit or math.isclose(ts.getTime(), limit, rel_tol=1e-13):
+        if not last and (ts.getTime() >= limit or math.isclose(ts.getTime(), limit, rel_tol=1e-13)):
             ts.setTime(limit)
             ts.setTimeStep(max(ts.getTimeStep(), min(length, self._end - limit)))
             ts.restartStep()

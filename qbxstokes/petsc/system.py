@@ -27,6 +27,8 @@ from qbxstokes.petsc.trajectory import Checkpoint
 Array = NDArray[np.float64]
 
 RK_FORMULAS = ("5dp", "8vr")
+# Right-hand sides of single bodies in this process so far, as they were forecast.
+_FORESEEN = [0.0]
 
 
 @dataclass
@@ -63,19 +65,36 @@ class System:
     ) -> None:
         self.equations, self.end, self._samples = equations, end, samples
         self.prefix, self._longest, self._comm = prefix, longest_step, comm
-        # What is integrated: the rotation alone where no centre can move. Compiled blocks take 1.2
-        # to 2 times less then; with the plain kernels neither one body nor several gain anything.
-        self._moving: RigidBodyEquations | CentredEquations = equations
-        if equations.compiled() and equations.at_rest(start.state):
-            self._moving = CentredEquations(equations, start.state)
-        self.layout = self._moving.layout
         self.counter = Counter(start.evaluations, start.jacobians)
         self._breaks = breaks
+        self._changing = equations.changing
+        if self._changing is not None:
+            # To a hundredth of the tolerance at the end, however the axis magnifies it.
+            ratio = float(
+                np.max(np.maximum(equations.effective_ratio, 1.0 / equations.effective_ratio))
+            )
+            self._changing.sample(end, 0.01 * tolerance / ratio, longest_step or 0.02 * end)
         self._guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance
         self._wanted = start.method or method or self._guide.method
         # Whether it is the program that chose the method.
         self.chosen = method is None and not PETSc.Options().hasName(f"{prefix}ts_type")
+        explicit = self._wanted in RK_FORMULAS
+        kind = "rk" if explicit else self._wanted
+        self.expected = start.expected or self._guide.evaluations(kind) + STAGES * samples
+        # By how many right-hand sides compiled ones repay their import. Many short runs of single
+        # bodies count together: explicit formulas give the same numbers by either, to the last bit.
+        self._repaid = self.expected
+        if self.chosen and explicit and equations.layout.columns == 1:
+            _FORESEEN[0] += self.expected
+            self._repaid = max(self.expected, _FORESEEN[0])
+        # What is integrated: the rotation alone where no centre can move. Compiled blocks take 1.2
+        # to 2 times less then; with the plain kernels neither one body nor several gain anything.
+        self._moving: RigidBodyEquations | CentredEquations = equations
+        native = equations.compiled(self._repaid if self.chosen and explicit else 0.0)
+        if native and equations.at_rest(start.state):
+            self._moving = CentredEquations(equations, start.state)
+        self.layout = self._moving.layout
         self.native: Any = None
         self._function: Any = None  # the same, where it is that of a compiled flow
 
@@ -93,6 +112,21 @@ class System:
     def evaluations(self) -> int:
         """Right-hand sides so far, by Python and by PETSc itself."""
         return self.counter.evaluations + (self.native.calls if self.native else 0)
+
+    def cover(self, before: float, after: float) -> float:
+        """Know the flow from `before` to `after`, if possible; the instant up to which it is."""
+        if self._changing is None:
+            return after
+        after = min(after, self.end)
+        known = self._changing.cover(before, after)
+        if self.native is not None:
+            self.native.renew()
+        return after if known >= after else known
+
+    @property
+    def refusal(self) -> FlowError | None:
+        """Why the flow is known no further."""
+        return None if self._changing is None else self._changing.refusal
 
     def begin(self, start: Checkpoint) -> Any:
         """The vector of the integrators that start from a checkpoint, and what they measure by."""
@@ -139,8 +173,6 @@ class System:
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self._start.local_tolerance or self._guide.tolerance(kind)
         self.reachable = self._start.reachable or self._guide.reachable(kind)
-        forecast = self._guide.evaluations(kind) + STAGES * self._samples
-        self.expected = self._start.expected or forecast
         self.rate = self._rate_callback()
         weights = vector.duplicate()
         self.write(weights, self._weights(kind))
@@ -179,7 +211,7 @@ class System:
 
                 self.native = self._function = native_user(*found, self.layout)
         elif self.native is None:
-            block = self._moving.block_constants(self.expected)
+            block = self._moving.block_constants(self._repaid)
             if block is not None:
                 from qbxstokes.petsc.native import native_rate
 
@@ -190,7 +222,7 @@ class System:
         counter, equations = self.counter, self.equations
 
         alone = equations.layout.columns == 1
-        if alone and not (equations.direct or equations.compiled(self.expected)):
+        if alone and not (equations.direct or equations.compiled(self._repaid)):
             single = equations.rate_of_rows
 
             def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
@@ -212,7 +244,7 @@ class System:
 
             return callback
 
-        function = self._moving.rate_function(self.expected)
+        function = self._moving.rate_function(self._repaid)
         out = np.empty((self.layout.n_state, self.layout.columns))
 
         def callback_block(ts: Any, t: float, state: Any, rate: Any) -> None:

@@ -125,7 +125,7 @@ class Assembled:
         if self.steady and self.equations.steady:
             return None
         for part in self.parts:
-            if not part.flow.steady:
+            if not (part.flow.steady or part.flow.surely_stokesian):
                 for t in np.linspace(0.0, end, _INSTANTS_CHECKED):
                     require_stokesian(part, part.position[0], float(t))
         spacings = [part.flow.spacing for part in self.parts]
@@ -191,8 +191,8 @@ class Assembled:
         """
         found = []
         for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
-            instants = [0.0] if part.flow.steady else np.linspace(0.0, end, _INSTANTS_CHECKED)
-            rate = np.mean([np.linalg.norm(_gradient(part, float(t))) for t in instants])
+            instants = np.linspace(0.0, end, 1 if part.flow.steady else _INSTANTS_CHECKED)
+            rate = np.mean(np.linalg.norm(_gradients(part, instants), axis=(1, 2)))
             linear = part.carrier.degree is not None and part.carrier.degree <= 1
             law = float(rate) * end * _period_error(formed.model, linear)
             parts = {"integration": self.tolerance, "law": law, "rounding": rounding}
@@ -275,12 +275,12 @@ def assemble(
     return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
 
 
-def _gradient(part: Simulation, t: float) -> Array:
-    """About the gradient (3, 3) at the start."""
-    flow, place = part.carrier, part.position[0]
+def _gradients(part: Simulation, t: Array) -> Array:
+    """About the gradients (T, 3, 3) at the start, at instants (T,)."""
+    flow, place = part.carrier, part.position[:1]
     if part.recognised is None and not flow.singular_points_known:  # many values for many digits
-        return np.asarray(flow.expansion(place[None], t, 1)[1][0])
-    return np.asarray(flow.gradient(place, t))
+        return np.array([flow.expansion(place, s, 1)[1][0] for s in t.tolist()])
+    return np.asarray(flow.gradients(place, t)[:, 0])
 
 
 def _period_error(model: BodyModel, linear: bool) -> float:

@@ -10,6 +10,7 @@ is too much is halved. M becomes singular with the strain: it begins anew where 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError, SceneError
-from qbxstokes.flows import Flow, LinearInTime
+from qbxstokes.flows import ChangingFlow, Flow, linear_in_time
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.simulation import arguments as given
 
@@ -50,8 +51,8 @@ def axes_in(
     if np.any(body.stokes_number):
         raise SceneError("body.stokes_number", "is not 0", "0, or integrate")
     if isinstance(flow, GradientSeries):
-        flow = LinearInTime(flow)
-    if not isinstance(flow, LinearInTime) and (flow.degree is None or flow.degree > 1):
+        flow = linear_in_time(flow)
+    if flow.degree is None or flow.degree > 1:
         raise SceneError("flow", f"is {flow.type_name}", "a linear flow, or integrate")
     law = body.formed(1, None)[0].model
     ratio = law.effective_ratio
@@ -59,7 +60,9 @@ def axes_in(
     accepted = tolerance / (max(ratio, 1.0 / ratio) * end) if end > 0.0 else tolerance
     p = start.reshape(-1, 3).T / np.linalg.norm(start.reshape(-1, 3).T, axis=0)
     found = np.empty((len(instants), *p.shape))
-    ends, matrices = _pieces(flow, law.faxen.linear, law.faxen.rest, instants, accepted)
+    gradients, edges = _gradients(flow, end, tolerance / max(ratio, 1.0 / ratio))
+    cuts = np.concatenate([instants, edges])
+    ends, matrices = _pieces(gradients, law.faxen.linear, law.faxen.rest, cuts, instants, accepted)
     whole, place = np.eye(3), int(np.searchsorted(instants, 0.0, "right"))
     found[:place] = p
     for t, matrix in zip(ends.tolist(), matrices, strict=True):
@@ -76,13 +79,15 @@ def axes_in(
 
 
 def _pieces(
-    flow: Flow, linear: float, rest: float, instants: Array, accepted: float
+    gradients: Callable[[Array], Array],
+    linear: float,
+    rest: float,
+    cuts: Array,
+    instants: Array,
+    accepted: float,
 ) -> tuple[Array, Array]:
     """Ends (m,) of pieces of time, in their order, and M over each of them (m, 3, 3)."""
     end = float(instants[-1])
-    bound = min(flow.spacing, end / _PIECES) if not flow.steady else end
-    count = max(1, int(np.ceil(end / bound * (1.0 - 1e-12)))) if end > 0.0 else 1
-    cuts = np.concatenate([instants, flow.breaks(end), np.linspace(0.0, end, count + 1)])
     cuts = np.unique(cuts[(cuts >= 0.0) & (cuts <= end)])
     cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-14 * end])] if end else cuts
     cuts = np.unique(np.concatenate([cuts, instants]))  # to the last bit
@@ -90,7 +95,7 @@ def _pieces(
     ends, turnings = [], []
     for _ in range(_HALVINGS):
         length = last - first
-        a = _gradients(flow, first[:, None] + length[:, None] * _NODES)
+        a = gradients(first[:, None] + length[:, None] * _NODES)
         back = np.swapaxes(a, -1, -2)
         turning = rest * (a - back) + linear * (back if linear < 0.0 else a)
         turning *= length[:, None, None, None]
@@ -120,11 +125,15 @@ def _pieces(
     return np.concatenate(ends)[order], matrices
 
 
-def _gradients(flow: Flow, t: Array) -> Array:
-    """Gradients (..., 3, 3) at instants (...)."""
-    if flow.steady:
-        return np.broadcast_to(flow.gradient(np.zeros(3)), (*t.shape, 3, 3))
-    assert isinstance(flow, LinearInTime)
-    if flow.series is not None:
-        return flow.series.at(t)
-    return np.array([flow.numbers(s) for s in t.ravel().tolist()]).reshape(*t.shape, 3, 3)
+def _gradients(flow: Flow, end: float, tolerance: float) -> tuple[Callable[[Array], Array], Array]:
+    """Gradients (..., 3, 3) at instants (...), and instants between which they are smooth (n,)."""
+    if end == 0.0 or not isinstance(flow, ChangingFlow):
+        steady = flow.gradient(np.zeros(3))
+        return lambda t: np.broadcast_to(steady, (*t.shape, 3, 3)), np.array([0.0, end])
+    sampled = flow.signal.sampled(end, 0.01 * tolerance, min(flow.spacing, end / _PIECES))
+    if sampled.cover(end, 0.0) < end:
+        assert sampled.refusal is not None
+        raise sampled.refusal
+    units = np.stack([unit.gradient(np.zeros(3)) for unit in flow.units])
+    still = 0.0 if flow.still is None else flow.still.gradient(np.zeros(3))
+    return lambda t: np.tensordot(sampled.many(t), units, 1) + still, sampled.edges

@@ -36,7 +36,9 @@ class FlowWatch(Watch):
 
     def __init__(self, assembled: Assembled, end: float) -> None:
         self._parts = list(zip(assembled.parts, assembled.slices(), strict=True))
-        self._flows = [part.flow for part in assembled.parts]
+        parts = assembled.parts
+        flows = (flow for part in parts for flow in (part.flow, part.carrier))
+        self._flows = list({id(flow): flow for flow in flows}.values())
         self._users = [entry for entry in self._parts if not entry[0].flow.singular_points_known]
         self._motions: list[tuple[Any, slice, tuple[float, float]]] = []
         for (part, lanes), formed in zip(self._parts, assembled.hydrodynamics, strict=True):

@@ -16,11 +16,10 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
-from qbxstokes.flows import Flow
+from qbxstokes.flows import ChangingFlow, Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
 from qbxstokes.motion.point import PointMotion
-from qbxstokes.motion.taylor import IN_TIME
 from qbxstokes.qbx.operator import (
     GradedScheme,
     Scheme,
@@ -270,7 +269,7 @@ class Former:
         if self._need.kind == "grid":
             whole, degree = self._grid_motion(body, facts), self._section.derivatives
             return PointMotion(body.model, self._flow, degree, whole) if degree else whole
-        return self._flow if isinstance(self._flow, IN_TIME) else self._flow.polynomial
+        return self._flow if isinstance(self._flow, ChangingFlow) else self._flow.polynomial
 
     def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
         from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from qbxstokes.flows import LinearInTime
+from qbxstokes.flows import ChangingFlow
 from qbxstokes.flows.interpolation import INTERPOLATIONS
 
 if TYPE_CHECKING:
@@ -21,15 +21,19 @@ def left_by_samples(assembled: Assembled, end: float) -> dict[str, float]:
     but one of them. Empty where the flow is no series, or one of too few samples.
     """
     scene, flow = assembled.parts[0], assembled.parts[0].flow
-    if len(assembled.initial) != 1 or not isinstance(flow, LinearInTime) or flow.series is None:
+    if len(assembled.initial) != 1 or not isinstance(flow, ChangingFlow):
         return {}
-    thinned, order = flow.series.thinned(), INTERPOLATIONS[flow.series.interpolation]
-    if len(thinned.times) < max(2, order):
+    series = flow.signal.series
+    if series is None:
         return {}
+    order = INTERPOLATIONS[series.interpolation]
+    if len(series.times) < 2 * max(2, order) - 1:
+        return {}
+    thinned = series.thinned()
     other = copy(scene)
-    other.flow = LinearInTime(thinned)
+    other.flow = flow.of_series(thinned)
     again = assembled.again([other])
-    last = end if flow.series.outside != "error" else min(end, float(thinned.times[-1]))
+    last = end if series.outside != "error" else min(end, float(thinned.times[-1]))
     fine, rough = (each.trajectory(np.array([last])) for each in (assembled, again))
     share = 1.0 / max(1.0, 2.0**order - 1.0)
     found = [

@@ -1,0 +1,312 @@
+"""Numbers that change in time: functions, expressions and samples, as piecewise polynomials.
+
+A function is asked at Chebyshev's nodes of pieces of time, which are halved where the last
+coefficients of the polynomials through them do not show that the rest is small enough (Trefethen,
+Approximation Theory and Approximation Practice, 2013, chapters 3 and 8). Between samples the
+interpolant is a polynomial as it is. Whoever integrates then asks polynomials alone.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
+from qbxstokes.flows.interpolation import Series
+from qbxstokes.flows.values import DOUBLE, SINGLE, Array, Key, settled, tensor, traceless
+
+_NODES = 10
+_ROOTS = np.sort(chebyshev.chebpts1(_NODES))
+_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_ROOTS, _NODES - 1))
+_POWERS = np.array(
+    [np.pad(chebyshev.cheb2poly(row), (0, _NODES))[:_NODES] for row in np.eye(_NODES)]
+)
+_TO_POWERS = _POWERS.T @ _COEFFICIENTS
+# What rounding leaves of coefficients, relative to the numbers, and of what counts as noise.
+_ROUNDING, _NOISE = 2e-15, SINGLE
+# Halvings of a piece, and pieces of a window, at most; pieces asked for at a time.
+_HALVINGS, _MOST, _WINDOW = 45, 100_000, 64
+# Part of a piece below which a function that fails is not followed up to where it does.
+_EDGE = 1e-4
+# Where a function is asked whether it is still what it was, as parts of a run.
+_PROBES = np.array([0.0, 0.137, 0.618, 0.911])
+_NOTHING = 1e-290  # the trace of a gradient whose digits are lost
+
+
+@dataclass(frozen=True)
+class Part:
+    """Numbers of one source: a function of t or a series, the shape it has, and its key.
+
+    gradient: whether it has to be traceless. given_breaks: instants up to one at which it is not
+    smooth, besides the samples of a series. spacing: of instants between which it is.
+    """
+
+    source: Callable[[float], Any] | Series
+    shape: tuple[int, ...]
+    key: Key
+    gradient: bool = False
+    given_breaks: Callable[[float], Array] = lambda end: np.empty(0)
+    spacing: float = math.inf
+
+    def breaks(self, end: float) -> Array:
+        """Instants up to `end` at which the numbers are not smooth."""
+        own = self.source.breaks(end) if isinstance(self.source, Series) else np.empty(0)
+        return np.concatenate([self.given_breaks(end), own])
+
+    def at(self, t: float) -> Array:
+        """The numbers (size,) at an instant; raises FlowError for what is none."""
+        if isinstance(self.source, Series):
+            found: Array = self.many(np.array([t]))[0]
+            return found
+        name = "the " + ".".join(map(str, self.key))
+        try:
+            given = self.source(t)
+        except FlowError:
+            raise
+        except Exception as error:
+            wrong = f"{name} raised {type(error).__name__} at t = {t:.6g}: {error}"
+            raise FlowFunctionError(wrong, self.key) from error
+        found = tensor(given, f"{name} at t = {t:.6g}", self.shape, self.key)
+        if not self.gradient:
+            return found.reshape(-1)
+        trace = float(np.trace(found))
+        if abs(trace) > _NOTHING:
+            if abs(trace) > SINGLE * float(np.abs(found).max()):
+                raise FlowFunctionError(
+                    f"the gradient has trace {trace:.6g} at t = {t:.6g} and must have none "
+                    "(incompressible fluid)",
+                    self.key,
+                )
+            must = "the gradients must have no trace (div u = 0)"
+            found = settled(found, traceless(found), must)
+        return found.reshape(-1)
+
+    def many(self, t: Array) -> Array:
+        """The numbers (n, size) at instants (n,)."""
+        if isinstance(self.source, Series):
+            return self.source.values(t).reshape(len(t), -1)
+        instants = t.tolist()
+        try:
+            found = np.array([self.source(s) for s in instants], dtype=np.float64)
+            good = found.shape == (len(t), *self.shape) and math.isfinite(
+                float(np.abs(found).max())
+            )
+            found = found.reshape(len(t), -1)
+            if good and self.gradient:
+                trace = np.abs(found[:, 0] + found[:, 4] + found[:, 8])
+                good = bool(np.all(trace <= DOUBLE * np.abs(found).max(axis=1) + _NOTHING))
+            if good:
+                return found
+        except Exception:  # told below
+            pass
+        return np.array([self.at(s) for s in instants])
+
+
+class Signal:
+    """Numbers (m,) that change in time, of parts one after the other.
+
+    spacing: of instants between which they are smooth.
+    """
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = tuple(parts)
+        self.spacing = min(part.spacing for part in parts)
+        self.last = math.inf
+        self._known: tuple[Any, Array, Sampled] | None = None
+
+    @property
+    def series(self) -> Series | None:
+        """The series that is all there is, or None."""
+        source = self.parts[0].source
+        return source if len(self.parts) == 1 and isinstance(source, Series) else None
+
+    def breaks(self, end: float) -> Array:
+        """Instants between 0 and `end` at which the numbers are not smooth."""
+        found = np.unique(np.concatenate([part.breaks(end) for part in self.parts]))
+        return np.asarray(found[(found > 0.0) & (found < end)])
+
+    def at(self, t: float) -> Array:
+        """The numbers (m,) at an instant, as before the last break."""
+        found = [part.at(min(t, self.last)) for part in self.parts]
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def many(self, t: Array) -> Array:
+        """The numbers (n, m) at instants (n,)."""
+        return np.concatenate([part.many(t) for part in self.parts], axis=1)
+
+    def joined(self, other: Signal) -> Signal:
+        """The numbers of both."""
+        return Signal((*self.parts, *other.parts))
+
+    def sampled(self, end: float, accuracy: float, longest: float) -> Sampled:
+        """The numbers from 0 to `end` to an accuracy relative to them, in pieces at most so long.
+
+        What was sampled before serves again, if the numbers have stayed what they were.
+        """
+        asked = end, longest
+        try:
+            probes = self.many(end * _PROBES)
+        except FlowError:
+            probes = np.array([np.nan])  # never the same
+        if self._known is not None:
+            known, values, found = self._known
+            same = known == asked and found.accuracy <= accuracy and found.edges[0] == 0.0
+            if same and found.refusal is None and np.array_equal(values, probes):
+                return found
+        found = Sampled(self, end, accuracy, longest)
+        self._known = asked, probes, found
+        return found
+
+
+class Sampled:
+    """A signal as polynomials in pieces of time, known as far as `cover` was asked for.
+
+    Piece i, from edges[i] to edges[i + 1], is sum_k coefficients[i, k] x^k, x = (t - origins[i])
+    scales[i].
+    Windows of pieces begin at fixed instants, so that the numbers do not depend on where a motion
+    begins; the accuracy is relative to the largest numbers of a window. Pieces that are over are
+    forgotten where there are many. refusal: what the signal said where it is known no further.
+    """
+
+    def __init__(self, signal: Signal, end: float, accuracy: float, longest: float) -> None:
+        self.signal, self.end, self.accuracy = signal, end, accuracy
+        cuts = signal.breaks(end)
+        self._exact = signal.series if len(cuts) else None
+        if self._exact is None:
+            count = max(1, math.ceil(end / longest * (1.0 - 1e-12)))
+            cuts = np.union1d(cuts, np.linspace(0.0, end, count + 1)[1:-1])
+        far = np.diff(cuts, prepend=0.0) > 1e-14 * end
+        self._cuts = np.concatenate([[0.0], cuts[far & (cuts < end * (1.0 - 1e-14))], [end]])
+        self._size = _WINDOW if self._exact is None else 16 * _WINDOW
+        self._next, self.asked = 0, 0
+        self.refusal: FlowError | None = None
+        self.edges = np.zeros(1)
+        self.origins, self.scales = np.empty((2, 0))
+        self.coefficients = np.empty((0, 1, sum(math.prod(part.shape) for part in signal.parts)))
+
+    def cover(self, t: float, begin: float) -> float:
+        """Know the numbers from `begin` to t at least; the instant up to which they are known."""
+        while self.edges[-1] < min(t, self.end) and self.refusal is None:
+            self._extend(begin)
+        return float(self.edges[-1])
+
+    def covers(self, t: float) -> bool:
+        """Whether the numbers are known at t."""
+        return len(self.origins) > 0 and bool(self.edges[0] <= t <= self.edges[-1])
+
+    def at(self, t: float, coefficients: Array) -> Array:
+        """Sums of the numbers at an instant that is covered, as before the last break.
+
+        coefficients (pieces, degree + 1, n): of the sums.
+        """
+        t = min(t, self.signal.last)
+        piece = int(np.searchsorted(self.edges, t, "right")) - 1
+        piece = min(max(piece, 0), len(self.origins) - 1)
+        x = (t - self.origins[piece]) * self.scales[piece]
+        powers = coefficients[piece]
+        found: Array = powers[-1]
+        for coefficient in powers[-2::-1]:  # in the order of the compiled loop
+            found = found * x + coefficient
+        return found
+
+    def many(self, t: Array) -> Array:
+        """The numbers (..., m) at instants (...) that are covered."""
+        pieces = np.clip(np.searchsorted(self.edges, t, "right") - 1, 0, len(self.origins) - 1)
+        x = ((t - self.origins[pieces]) * self.scales[pieces])[..., None]
+        powers = x ** np.arange(self.coefficients.shape[1])
+        found: Array = np.einsum("...k,...km->...m", powers, self.coefficients[pieces])
+        return found
+
+    def _extend(self, begin: float) -> None:
+        """One more window; those that are over by `begin` are passed over."""
+        cuts, size = self._cuts, self._size
+        while self._next + size < len(cuts) - 1 and cuts[self._next + size] <= begin:
+            self._next += size
+        stop = min(self._next + size, len(cuts) - 1)
+        first, last = cuts[self._next : stop], cuts[self._next + 1 : stop + 1]
+        self._next = stop
+        if self._exact is not None:
+            edges, *new = last, *self._exact.powers(first, last)
+        else:
+            edges, *new = self._halved(first, last)
+        kept = len(self.origins) if first[0] != self.edges[-1] else 0
+        if not kept and len(self.origins) > 20 * self._size:
+            kept = int(np.searchsorted(self.edges, begin, "right")) - 1
+        known = self.edges[kept:] if kept < len(self.edges) - 1 else first[:1]
+        self.edges = np.concatenate([known, edges])
+        old = self.origins, self.scales, self.coefficients
+        joined = (
+            np.concatenate([a[kept:], b]) if len(a) > kept else b
+            for a, b in zip(old, new, strict=True)
+        )
+        self.origins, self.scales, self.coefficients = joined
+
+    def _halved(self, first: Array, last: Array) -> tuple[Array, ...]:
+        """Ends, origins, scales and coefficients of the pieces that intervals take."""
+        done, shortest = [], _EDGE * float(np.max(last - first))
+        before: Array | None = None  # what was left of the pieces that are now in halves
+        size, known = np.zeros(1), math.inf
+        for _ in range(_HALVINGS):
+            middle, half = 0.5 * (first + last), 0.5 * (last - first)
+            values, failed = self._asked(middle[:, None] + half[:, None] * _ROOTS)
+            count = len(values)
+            size = np.maximum(size, np.max(np.abs(values), axis=(0, 1), initial=0.0))
+            scale = np.maximum(size, 1e-6 * float(size.max())) + 1e-300
+            parts = np.abs(np.einsum("cn,pnm->cpm", _COEFFICIENTS[-4:], values)) / scale
+            late, early = np.maximum(parts[2], parts[3]), np.maximum(parts[0], parts[1])
+            error = np.max(late * np.minimum(1.0, late / (early + 1e-300)), axis=1, initial=0.0)
+            tail, share = late.max(axis=1, initial=0.0), 2e3 * half[:count] / self.end
+            accuracy = max(self.accuracy / max(1.0, self.end * float(size.max())), _ROUNDING)
+            good = error * np.minimum(1.0, share) <= accuracy
+            if before is not None and not failed:
+                noise = (tail.reshape(-1, 2).min(axis=1) > 0.4 * before) & (before <= _NOISE)
+                good |= np.repeat(noise, 2)
+                if np.any(before[noise] > DOUBLE):
+                    told = f"the flow is rough in time, by {before[noise].max():.1g} of its size"
+                    warnings.warn(told, SinglePrecisionWarning, stacklevel=2)
+            powers = np.einsum("kn,pnm->pkm", _TO_POWERS, values[good])
+            ready = np.flatnonzero(good)
+            done.append((last[ready], middle[ready], 1.0 / half[ready], powers))
+            again, before = np.flatnonzero(~good), None
+            if failed:
+                known = float(first[count])
+                if last[count] - known > shortest:
+                    known, again = float(last[count]), np.append(again, count)
+            else:
+                before = tail[again]
+            if not len(again):
+                break
+            first, middle, last = first[again], middle[again], last[again]
+            first = np.stack([first, middle], axis=1).ravel()
+            last = np.stack([middle, last], axis=1).ravel()
+            if len(first) > _MOST:
+                break
+        if len(again):
+            wrong = f"the flow changes too fast in time near t = {first[0]:.6g}"
+            raise FlowError(f"{wrong}; a larger tolerance, or breaks, would do", ("breaks",))
+        ends, *rest = (np.concatenate(part) for part in zip(*done, strict=True))
+        order = np.argsort(ends, kind="stable")
+        order = order[ends[order] <= known]
+        return ends[order], *(part[order] for part in rest)
+
+    def _asked(self, nodes: Array) -> tuple[Array, bool]:
+        """The numbers (pieces, nodes, m) at nodes, up to the first piece where there are none."""
+        self.asked += nodes.size
+        try:
+            return self.signal.many(nodes.ravel()).reshape(*nodes.shape, -1), False
+        except FlowError:
+            pass
+        found: list[Array] = []
+        try:
+            for row in nodes:
+                found.append(self.signal.many(row))
+        except FlowError as error:
+            self.refusal = error
+        width = sum(math.prod(part.shape) for part in self.signal.parts)
+        return np.array(found).reshape(len(found), _NODES, width), True
