@@ -133,6 +133,11 @@ class Series:
             ("outside",),
         )
 
+    def knows(self, t: Array) -> int:
+        """How many of increasing instants it has values at, from the first on."""
+        beyond = (t < self.times[0]) | (t > self.times[-1])
+        return int(np.argmax(beyond)) if self.outside == "error" and np.any(beyond) else len(t)
+
     def breaks(self, end: float) -> Array:
         """The samples between 0 and `end`: between them the interpolant is a polynomial."""
         first, last = float(self.times[0]), float(self.times[-1])

@@ -196,24 +196,11 @@ class Sampled:
             self._extend(begin)
         return float(self.edges[-1])
 
-    def covers(self, t: float) -> bool:
-        """Whether the numbers are known at t."""
-        return len(self.origins) > 0 and bool(self.edges[0] <= t <= self.edges[-1])
-
-    def at(self, t: float, coefficients: Array) -> Array:
-        """Sums of the numbers at an instant that is covered, as before the last break.
-
-        coefficients (pieces, degree + 1, n): of the sums.
-        """
-        t = min(t, self.signal.last)
-        piece = int(np.searchsorted(self.edges, t, "right")) - 1
-        piece = min(max(piece, 0), len(self.origins) - 1)
-        x = (t - self.origins[piece]) * self.scales[piece]
-        powers = coefficients[piece]
-        found: Array = powers[-1]
-        for coefficient in powers[-2::-1]:  # in the order of the compiled loop
-            found = found * x + coefficient
-        return found
+    def piece(self, t: float) -> int:
+        """The piece that holds an instant, -1 where none does."""
+        if not len(self.origins) or not self.edges[0] <= t <= self.edges[-1]:
+            return -1
+        return min(int(np.searchsorted(self.edges, t, "right")), len(self.origins)) - 1
 
     def many(self, t: Array) -> Array:
         """The numbers (..., m) at instants (...) that are covered."""
@@ -232,7 +219,11 @@ class Sampled:
         first, last = cuts[self._next : stop], cuts[self._next + 1 : stop + 1]
         self._next = stop
         if self._exact is not None:
-            edges, *new = last, *self._exact.powers(first, last)
+            middle = 0.5 * (first + last)
+            count = self._exact.knows(middle)
+            edges, *new = last[:count], *self._exact.powers(first[:count], last[:count])
+            if count < len(first):
+                self._refused(float(middle[count]))
         else:
             edges, *new = self._halved(first, last)
         kept = len(self.origins) if first[0] != self.edges[-1] else 0
@@ -294,6 +285,12 @@ class Sampled:
         order = np.argsort(ends, kind="stable")
         order = order[ends[order] <= known]
         return ends[order], *(part[order] for part in rest)
+
+    def _refused(self, t: float) -> None:
+        try:
+            self.signal.many(np.array([t]))
+        except FlowError as error:
+            self.refusal = error
 
     def _asked(self, nodes: Array) -> tuple[Array, bool]:
         """The numbers (pieces, nodes, m) at nodes, up to the first piece where there are none."""

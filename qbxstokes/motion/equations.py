@@ -264,7 +264,13 @@ class RigidBodyEquations(Pieces):
             return bodies.kernels.inertial(*arguments, relaxation, bodies.gyration, self._follow)
 
         if self._flows.shared and bodies.models.shared:
-            kernel = specialise(equations, self.n_state, after_loads + n_rates + n_changing)
+            key = None
+            if not several:  # the constants, of which scenes that are alike have the same
+                unread = self._force_free  # NaN, which equals nothing
+                made = bodies.kernels.__name__, self._flow, bodies.law, bodies.gyration
+                more = None if unread else (bodies.mobility, tuple(rates), self._follow)
+                key = *made, more, None if loads is None else tuple(loads), handed, n_changing
+            kernel = specialise(equations, self.n_state, after_loads + n_rates + n_changing, key)
             if not (handed or n_rates or n_changing):
                 return kernel
         else:

@@ -49,16 +49,16 @@ class FlowRows:
     def at(self, t: float) -> Any:
         """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ."""
         if self.single:
-            return self._of[0].at(t).tolist()
+            return self._of[0].at(t)
         values = self._others
         for own, lanes in zip(self._of, self._lanes, strict=True):
-            values[:, lanes] = own.at(t)[:, None]
+            values[:, lanes] = np.array(own.at(t))[:, None]
         return list(values)
 
     def sample(self, end: float, accuracy: float, longest: float) -> None:
         """From now on be polynomials in time, for motions that end at `end`."""
         for own in self._of:
-            own.sampled = own.flow.signal.sampled(end, accuracy, longest)
+            own.take(own.flow.signal.sampled(end, accuracy, longest))
 
     def cover(self, begin: float, t: float) -> float:
         """Know the flows from `begin` to t, if possible; the instant up to which they are known."""
@@ -95,11 +95,32 @@ class _RowsOfFlow:
         self.flow, self._matrix, self._still = flow, matrix, still
         self.sampled: Sampled | None = None
         self._known: tuple[Any, Array] = (None, still)
+        # Ends of the piece asked for last, its origin and scale, and its coefficients by row.
+        self._piece: tuple[float, float, float, float, list[list[float]]] = (0.0, 0.0, 0.0, 0.0, [])
 
-    def at(self, t: float) -> Array:
-        if self.sampled is not None and self.sampled.covers(t):
-            return self.sampled.at(t, self.coefficients())
-        found: Array = self._still + self._matrix @ self.flow.signal.at(t)
+    def take(self, sampled: Sampled) -> None:
+        """From now on be what was sampled."""
+        self.sampled, self._piece = sampled, (0.0, 0.0, 0.0, 0.0, [])
+
+    def at(self, t: float) -> list[float]:
+        """The rows at an instant."""
+        t = min(t, self.flow.signal.last)
+        if not self._piece[0] <= t < self._piece[1]:
+            place = -1 if self.sampled is None else self.sampled.piece(t)
+            if place < 0 or self.sampled is None:
+                asked: list[float] = (self._still + self._matrix @ self.flow.signal.at(t)).tolist()
+                return asked
+            edges, of = self.sampled.edges, (self.sampled.origins, self.sampled.scales)
+            ends = edges[place : place + 2].tolist()
+            powers = self.coefficients()[place, ::-1].T.tolist()
+            self._piece = *ends, *(float(part[place]) for part in of), powers
+        _, _, origin, scale, powers = self._piece
+        x, found = (t - origin) * scale, []
+        for row in powers:  # in the order of the compiled loop
+            value = 0.0
+            for coefficient in row:
+                value = value * x + coefficient
+            found.append(value)
         return found
 
     def coefficients(self) -> Array:

@@ -12,11 +12,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 # Operations written into one expression, one inside the other; the parser has a limit.
 _DEEPEST = 20
+# Functions that are remembered, and how many at most.
+_KNOWN: dict[Any, Callable[..., tuple[Any, ...]]] = {}
+_MOST_KNOWN = 100
 
 
 class Traced:
@@ -133,13 +136,19 @@ def _is(value: Any, constant: float) -> bool:
 
 
 def specialise(
-    function: Callable[[list[Any], list[Any]], Sequence[Any]], n_rows: int, n_more: int = 0
+    function: Callable[[list[Any], list[Any]], Sequence[Any]],
+    n_rows: int,
+    n_more: int = 0,
+    key: Hashable = None,
 ) -> Callable[..., tuple[Any, ...]]:
     """The function (t, rows, more) -> values that does what `function(rows, more)` does.
 
     function: of lists of n_rows and n_more numbers; it may use +, -, *, / and unary minus on them,
-    and branch on constants alone. The time is not read: every right-hand side is handed it.
+    and branch on constants alone. The time is not read: every right-hand side is handed it. key:
+    all that the function depends on, under which it is remembered; None: it is not.
     """
+    if key is not None and (known := _KNOWN.get((key, n_rows, n_more))) is not None:
+        return known
     rows, more = [f"y{i}" for i in range(n_rows)], [f"p{i}" for i in range(n_more)]
     record = _Record([*rows, *more])
     values = function(record.inputs[:n_rows], record.inputs[n_rows:])
@@ -151,6 +160,10 @@ def specialise(
     namespace: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
     exec(compile(source, "<specialised right-hand side>", "exec"), namespace)
     specialised: Callable[..., tuple[Any, ...]] = namespace["specialised"]
+    if key is not None:
+        if len(_KNOWN) >= _MOST_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[key, n_rows, n_more] = specialised
     return specialised
 
 

@@ -1,0 +1,235 @@
+"""Numbers of flows that change in time: functions, expressions and series by one kernel."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_data_flows import AXIS, cosines, jeffery
+
+import qbxstokes as qs
+from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SinglePrecisionWarning
+from qbxstokes.flows.interpolation import Series
+from qbxstokes.flows.signals import Part, Sampled, Signal
+from qbxstokes.petsc.stepper import integrate
+
+TIMES = np.linspace(0.0, 6.0, 241)
+
+
+def sampled(function: Any, end: float = 10.0, accuracy: float = 1e-10) -> Sampled:
+    found = Sampled(Signal([Part(function, (), ("rate",))]), end, accuracy, end / 50.0)
+    found.cover(end, 0.0)
+    return found
+
+
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_a_motion_is_that_of_scipy_to_ten_digits(k: float) -> None:
+    flow = qs.flow("linear", gradient=cosines(3))
+    motion = qs.Body(k).integrate(flow, [8.0], orientation=AXIS, tolerance=1e-11)
+    assert np.abs(motion.axis[-1] - jeffery(cosines(3), k, AXIS, 8.0)).max() < 1e-10
+
+
+def test_pieces_are_the_function_and_end_where_it_does() -> None:
+    t = np.linspace(0.0, 10.0, 2001)
+    smooth = sampled(lambda s: np.cos(3.0 * s) + 30.0 * np.exp(-(((s - 7.3) / 0.05) ** 2)))
+    exact = np.cos(3.0 * t) + 30.0 * np.exp(-(((t - 7.3) / 0.05) ** 2))
+    assert np.abs(smooth.many(t)[:, 0] - exact).max() < 3e-9
+    assert smooth.asked < 2000
+    jump = sampled(lambda s: float(s > np.pi))
+    off = np.abs(jump.many(t)[:, 0] - (t > np.pi))
+    assert (off > 1e-9).sum() <= 1
+    ended = sampled(lambda s: np.sqrt(1e-3 + 9.0 - s) if s < 9.0 else 1 / 0)
+    assert 8.999 < ended.edges[-1] <= 9.0
+    assert "division" in str(ended.refusal)
+    with pytest.warns(SinglePrecisionWarning, match="rough in time"):
+        rough = sampled(lambda s: np.float32(np.sin(s)), accuracy=1e-12)
+    assert np.abs(rough.many(t)[:, 0] - np.sin(t)).max() < 1e-6
+
+
+def test_what_is_no_function_of_time_to_speak_of_is_refused() -> None:
+    rng = np.random.default_rng(1)
+    with pytest.raises(FlowError, match="changes too fast in time"):
+        sampled(lambda s: rng.normal())
+
+
+@pytest.mark.parametrize(
+    ("keys", "gradient"),
+    [
+        (
+            {"type": "shear", "rate": "1 + cos(t)"},
+            lambda t: [[0, 1 + np.cos(t), 0], [0] * 3, [0] * 3],
+        ),
+        (
+            {"type": "extension", "kind": "planar", "rate": np.cos},
+            lambda t: np.diag([np.cos(t), -np.cos(t), 0.0]),
+        ),
+        (
+            {"type": "rotation", "angular_velocity": [0, "sin(t)", 1]},
+            lambda t: [[0, -1, np.sin(t)], [1, 0, 0], [-np.sin(t), 0, 0]],
+        ),
+        (
+            {
+                "type": "polynomial",
+                "coefficients": {"u1": {"x2": "t/3", "x1": 0.1}, "u3": {"x3": -0.1}},
+            },
+            lambda t: [[0.1, t / 3, 0], [0] * 3, [0, 0, -0.1]],
+        ),
+        (
+            {"type": "shear", "rate": Series(TIMES, 1.0 + np.cos(TIMES))},
+            lambda t: [[0, 1 + np.cos(t), 0], [0] * 3, [0] * 3],
+        ),
+        (
+            {"type": "sum", "terms": [{"type": "shear"}, {"type": "shear", "rate": "cos(t)"}]},
+            lambda t: [[0, 1 + np.cos(t), 0], [0] * 3, [0] * 3],
+        ),
+        (
+            {"type": "transformed", "flow": {"type": "shear"}, "factor": "1 + cos(t)"},
+            lambda t: [[0, 1 + np.cos(t), 0], [0] * 3, [0] * 3],
+        ),
+    ],
+)
+def test_every_number_of_a_flow_may_change(keys: dict[str, Any], gradient: Any) -> None:
+    flow = qs.flow(**keys)
+    assert not flow.steady
+    assert flow.degree == 1
+    motion = qs.Body(0.3).integrate(flow, [5.0], orientation=AXIS, tolerance=1e-8)
+    exact = jeffery(lambda t: np.array(gradient(t), dtype=float), 0.3, AXIS, 5.0)
+    assert np.abs(motion.axis[-1] - exact).max() < 1e-7
+
+
+def test_curved_and_singular_flows_change_as_the_same_functions() -> None:
+    body, start = qs.Body(0.4), {"position": [0.2, 0.5, -0.3], "orientation": AXIS}
+
+    def stream(x: Any, t: float) -> Any:
+        speed = np.cos(t) * (1.0 - 0.04 * (x[:, 1] ** 2 + x[:, 2] ** 2))
+        return speed[:, None] * [1.0, 0.0, 0.0]
+
+    tube = qs.flow("tube_poiseuille", radius=5.0, speed="cos(t)")
+    assert tube.degree == 2
+    found = body.integrate(tube, [3.0], **start, tolerance=1e-8)
+    exact = body.integrate(qs.flow("user", function=stream), [3.0], **start, tolerance=1e-8)
+    assert np.abs(found.axis - exact.axis).max() < 1e-7
+    assert np.abs(found.position - exact.position).max() < 1e-7
+    point = {"position": [0.0, 4.0, 0.0]}
+    one = qs.flow("stokeslet", strength=[0, "2*t", 9], **point)
+    two = 2.0 * qs.flow("stokeslet", strength=["0", "t", "4.5"], **point)
+    x = np.array([[0.3, 0.1, 0.2]])
+    steady = qs.flow("stokeslet", strength=[0, 1.4, 9], **point).velocity(x)
+    assert np.allclose(one.velocity(x, 0.7), steady, rtol=1e-14)
+    assert np.allclose(two.velocity(x, 0.7), steady, rtol=1e-14)
+    assert len(one.singular_points) == 1
+    assert one.degree is None
+
+
+def test_a_case_reads_series_of_numbers(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "rate.csv", np.column_stack([TIMES, np.cos(TIMES)]), delimiter=",")
+    (tmp_path / "own.py").write_text("import math\ndef rate(t):\n    return math.cos(t)\n")
+    axes = []
+    for rate in (
+        "cos(t)",
+        "own.py:rate",
+        {"file": "rate.csv"},
+        {"times": TIMES.tolist(), "values": np.cos(TIMES).tolist(), "outside": "clamp"},
+    ):
+        case = {
+            "body": {"aspect_ratio": 0.3},
+            "flow": {"type": "shear", "rate": rate},
+            "start": {"orientation": {"axis": AXIS.tolist()}},
+            "time": {"end": 5, "tolerance": 1e-8},
+        }
+        (tmp_path / "case.yaml").write_text(json.dumps(case))
+        scene = qs.from_case(tmp_path / "case.yaml")
+        axes.append(scene.integrate([5.0]).axis[-1])
+    assert np.ptp(axes, axis=0).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"type": "shear", "rate": "cos(x)"}, "rate must be a finite number or an expression in t"),
+        ({"type": "shear", "rate": Series(TIMES, np.ones((241, 2)))}, "2 numbers in its series"),
+        ({"type": "shear", "rate": {"times": [0, 1], "value": [0, 1]}}, "no key 'value'"),
+        ({"type": "shear", "rate": lambda t: [1.0, 2.0]}, "the rate at t = 0"),
+        ({"type": "linear", "gradient": [["t", 0, 0], [0, 0, 0], [0, 0, "-t*t"]]}, "trace"),
+        ({"type": "shear", "rate": {"times": [0, 2], "values": [0, 1]}}, "too few for six points"),
+    ],
+)
+def test_what_cannot_change_so_is_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(QbxStokesError, match=re.escape(message)):
+        qs.Body(0.5).integrate(qs.flow(**keys), [3.0], tolerance=1e-6)
+
+
+def test_terms_that_are_no_stokes_flow_together_are_refused() -> None:
+    flow = qs.flow("polynomial", coefficients={"u1": {"x1": "t"}, "u2": {"x2": "-sin(t)"}})
+    with pytest.raises(QbxStokesError, match="not Stokesian"):
+        qs.Body(0.5).integrate(flow, [3.0], tolerance=1e-6)
+
+
+@pytest.mark.parametrize("stokes", [0.0, 0.5])
+def test_plain_and_compiled_find_the_same_numbers(stokes: float) -> None:
+    flow = qs.flow("linear", gradient=cosines(4)) + 0.3 * qs.flow("paraboloid", curvature="sin(t)")
+    body = qs.Body(0.3, stokes_number=stokes)
+    found = []
+    for evaluation in ("plain", "compiled"):
+        scene = qs.Simulation(body, flow, orientation=AXIS, position=[0.1, 0, 0.2], tolerance=1e-7)
+        scene = scene.assemble()
+        scene.equations.evaluation = evaluation
+        found.append(scene.motion([1.0, 2.5]))
+    assert np.array_equal(found[0].axis, found[1].axis)
+    assert np.array_equal(found[0].position, found[1].position)
+
+
+def test_a_function_is_asked_once_for_however_many_bodies() -> None:
+    calls = 0
+    inner = cosines(5)
+
+    def gradient(t: float) -> Any:
+        nonlocal calls
+        calls += 1
+        return inner(t)  # type: ignore[operator]
+
+    counts, axes = [], np.random.default_rng(2).normal(size=(40, 3))
+    flows = [qs.flow("linear", gradient=gradient) for _ in range(2)]
+    for flow, orientation in ((flows[0], axes[0]), (flows[1], axes), (flows[1], axes)):
+        calls = 0
+        qs.Body(0.3).integrate(flow, [5.0], orientation=orientation, tolerance=1e-6)
+        counts.append(calls)
+    assert abs(counts[0] - counts[1]) < 5
+    assert counts[0] < 700
+    assert counts[2] < 60  # what was sampled serves again
+
+
+def test_a_run_goes_on_to_the_same_end() -> None:
+    scene = qs.Simulation(
+        qs.Body(0.3), qs.flow("linear", gradient=cosines(6)), orientation=AXIS, tolerance=1e-8
+    ).assemble()
+    times = np.linspace(0.0, 20.0, 41)
+    asked = 0
+
+    def interrupted() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > 20
+
+    whole = scene.trajectory(times, chunk_samples=5)
+    first = scene.trajectory(times, chunk_samples=5, interrupted=interrupted)
+    again = qs.Simulation(
+        qs.Body(0.3), qs.flow("linear", gradient=cosines(6)), orientation=AXIS, tolerance=1e-8
+    ).assemble()
+    last = again.trajectory(times, first.checkpoint, chunk_samples=5)
+    assert not first.finished
+    assert np.array_equal(np.concatenate([first.states, last.states]), whole.states)
+
+
+def test_a_run_ends_where_its_series_does() -> None:
+    times = np.linspace(0.0, 4.0, 81)
+    series = qs.GradientSeries(times, [cosines(3)(t) for t in times])  # type: ignore[operator]
+    flow = qs.flow("linear", gradient=series)
+    with pytest.raises(ConvergenceError, match=r"stopped at t = 4, .*outside the series"):
+        qs.Body(0.5).integrate(flow, [5.0], tolerance=1e-6)
+    scene = qs.Simulation(qs.Body(0.5), flow, tolerance=1e-6).assemble()
+    assert integrate(scene.equations, scene.initial, [4.0], 1e-6).finished
