@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from qbxstokes.case.load import load_case as load_case
     from qbxstokes.flows import GradientSeries as GradientSeries
+    from qbxstokes.flows import Series as Series
     from qbxstokes.flows import build_flow as build_flow
     from qbxstokes.geometry.spheroid import Spheroid as Spheroid
     from qbxstokes.io.results import load as load
@@ -57,6 +58,7 @@ _PUBLIC = {
     "OverWall": "qbxstokes.simulation.wall_table",
     "Suspension": "qbxstokes.simulation.suspension",
     "Repulsion": "qbxstokes.simulation.repulsion",
+    "Series": "qbxstokes.flows",
     "Wall": "qbxstokes.simulation.wall",
     "build_flow": "qbxstokes.flows",
     "ensemble": "qbxstokes.simulation.ensemble",

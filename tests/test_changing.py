@@ -12,7 +12,7 @@ import pytest
 from test_data_flows import AXIS, cosines, jeffery
 
 import qbxstokes as qs
-from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SinglePrecisionWarning
+from qbxstokes.errors import ConvergenceError, QbxStokesError, SinglePrecisionWarning
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.signals import Part, Sampled, Signal
 from qbxstokes.petsc.stepper import integrate
@@ -52,8 +52,12 @@ def test_pieces_are_the_function_and_end_where_it_does() -> None:
 
 def test_what_is_no_function_of_time_to_speak_of_is_refused() -> None:
     rng = np.random.default_rng(1)
-    with pytest.raises(FlowError, match="changes too fast in time"):
-        sampled(lambda s: rng.normal())
+    noise = sampled(lambda s: rng.normal())
+    assert noise.edges[-1] == 0.0
+    assert "no smooth function of time" in str(noise.refusal)
+    pole = sampled(lambda s: 1.0 / (3.0 - s))
+    assert pole.edges[-1] == pytest.approx(3.0, abs=1e-10)
+    assert "without bound" in str(pole.refusal)
 
 
 @pytest.mark.parametrize(

@@ -319,10 +319,7 @@ class SumFlow(Flow):
     @property
     def singular_points(self) -> Array:
         """Singular points of all terms (n, 3)."""
-        found = np.concatenate([flow.singular_points for flow in self.terms])
-        return (
-            found[np.sort(np.unique(found, axis=0, return_index=True)[1])] if len(found) else found
-        )
+        return np.concatenate([flow.singular_points for flow in self.terms])
 
     @property
     def singular_points_known(self) -> bool:

@@ -112,6 +112,11 @@ class ChangingFlow(SumFlow):
         pairs = zip(factors, self.terms, strict=True)
         return np.asarray(sum(f * getattr(flow, name)(x, t, *more) for f, flow in pairs))
 
+    @property
+    def singular_points(self) -> Array:
+        """Singular points of all terms (n, 3), each once."""
+        return np.asarray(np.unique(super().singular_points, axis=0))
+
     def odd_about(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether u(x + r) = -u(x - r) for all r at all times, exactly, shape (...)."""
         if self.degree == 1:
@@ -240,7 +245,8 @@ def _part(key: str, given: Any, trajectory: Any) -> tuple[Part, Callable[[list[f
     shape = (len(leaves),)
     if gradient:
         shape = (3, 3)
-        if np.shape(value) != shape:
+        rows = value if isinstance(value, (list, tuple)) else []
+        if [len(row) if isinstance(row, (list, tuple)) else 0 for row in rows] != [3, 3, 3]:
             raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", (key,))
 
     def source(t: float) -> Array:

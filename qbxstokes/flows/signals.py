@@ -31,7 +31,10 @@ _TO_POWERS = _POWERS.T @ _COEFFICIENTS
 # What rounding leaves of coefficients, relative to the numbers, and of what counts as noise.
 _ROUNDING, _NOISE = 2e-15, SINGLE
 # Halvings of a piece, and pieces of a window, at most; pieces asked for at a time.
-_HALVINGS, _MOST, _WINDOW = 45, 100_000, 64
+_HALVINGS, _MOST, _WINDOW = 45, 10_000, 64
+# Halvings within which noise is the function's, and beyond which it is that of the instants.
+_ROUGH = 10
+NO_BOUND = "the rates of change grow without bound"
 # Part of a piece below which a function that fails is not followed up to where it does.
 _EDGE = 1e-4
 # Where a function is asked whether it is still what it was, as parts of a run.
@@ -242,23 +245,26 @@ class Sampled:
         """Ends, origins, scales and coefficients of the pieces that intervals take."""
         done, shortest = [], _EDGE * float(np.max(last - first))
         before: Array | None = None  # what was left of the pieces that are now in halves
-        size, known = np.zeros(1), math.inf
-        for _ in range(_HALVINGS):
+        usual, known = np.zeros(0), math.inf
+        for level in range(_HALVINGS + 1):
             middle, half = 0.5 * (first + last), 0.5 * (last - first)
             values, failed = self._asked(middle[:, None] + half[:, None] * _ROOTS)
             count = len(values)
-            size = np.maximum(size, np.max(np.abs(values), axis=(0, 1), initial=0.0))
-            scale = np.maximum(size, 1e-6 * float(size.max())) + 1e-300
-            parts = np.abs(np.einsum("cn,pnm->cpm", _COEFFICIENTS[-4:], values)) / scale
+            own = np.max(np.abs(values), axis=1, initial=0.0)
+            if level == 0:
+                usual = np.max(own, axis=0, initial=0.0)
+                usual = np.maximum(usual, 1e-6 * float(usual.max())) + 1e-300
+                accuracy = max(self.accuracy / max(1.0, self.end * float(usual.max())), _ROUNDING)
+            parts = np.abs(np.einsum("cn,pnm->cpm", _COEFFICIENTS[-4:], values))
             late, early = np.maximum(parts[2], parts[3]), np.maximum(parts[0], parts[1])
-            error = np.max(late * np.minimum(1.0, late / (early + 1e-300)), axis=1, initial=0.0)
-            tail, share = late.max(axis=1, initial=0.0), 2e3 * half[:count] / self.end
-            accuracy = max(self.accuracy / max(1.0, self.end * float(size.max())), _ROUNDING)
-            good = error * np.minimum(1.0, share) <= accuracy
+            error, size = late * np.minimum(1.0, late / (early + 1e-300)), np.maximum(usual, own)
+            # Small everywhere, or in what it comes to: a jump is well known in a short piece.
+            short = error * (2e3 * half[:count, None] / self.end) <= accuracy * usual
+            good, tail = np.all((error <= accuracy * size) | short, 1), np.max(late / size, 1)
             if before is not None and not failed:
                 noise = (tail.reshape(-1, 2).min(axis=1) > 0.4 * before) & (before <= _NOISE)
                 good |= np.repeat(noise, 2)
-                if np.any(before[noise] > DOUBLE):
+                if level <= _ROUGH and np.any(before[noise] > DOUBLE):
                     told = f"the flow is rough in time, by {before[noise].max():.1g} of its size"
                     warnings.warn(told, SinglePrecisionWarning, stacklevel=2)
             powers = np.einsum("kn,pnm->pkm", _TO_POWERS, values[good])
@@ -273,14 +279,15 @@ class Sampled:
                 before = tail[again]
             if not len(again):
                 break
+            if level == _HALVINGS or len(again) > _MOST:
+                known = min(known, float(first[again].min()))
+                what = f"near t = {known:.6g} the flow is no smooth function of time"
+                right = "breaks, or a larger tolerance"
+                self.refusal = FlowFunctionError(f"{what}, or {NO_BOUND} ({right})", ("breaks",))
+                break
             first, middle, last = first[again], middle[again], last[again]
             first = np.stack([first, middle], axis=1).ravel()
             last = np.stack([middle, last], axis=1).ravel()
-            if len(first) > _MOST:
-                break
-        if len(again):
-            wrong = f"the flow changes too fast in time near t = {first[0]:.6g}"
-            raise FlowError(f"{wrong}; a larger tolerance, or breaks, would do", ("breaks",))
         ends, *rest = (np.concatenate(part) for part in zip(*done, strict=True))
         order = np.argsort(ends, kind="stable")
         order = order[ends[order] <= known]

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from petsc4py import PETSc
 
 from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError, Stopping
+from qbxstokes.flows.signals import NO_BOUND
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
@@ -48,7 +49,6 @@ BDF_SAMPLES = 20_000
 SHORTEST = 1e-4
 REASONS = {-1: "the nonlinear solve failed", -2: "too many steps were rejected"}
 NO_VALUE = "the rates of change have no finite value further on, however short the step"
-NO_BOUND = "the rates of change grow without bound"
 ADVICE = (
     ". Try a larger tolerance, another -ts_type (implicit ones: arkimex, rosw, bdf) or "
     "-ts_adapt_monitor to see why steps are rejected"
@@ -124,6 +124,7 @@ def integrate(
         failure=run.failure,
         reached=run.reached,
         longest_step=longest_step,
+        flow_samples=0 if equations.changing is None else equations.changing.asked,
     )
 
 

@@ -85,7 +85,8 @@ class Trajectory:
     last sample is then that instant. refusal: what the flow said where it let no step through, near
     a singular point; failure: why the integration cannot go on; both end the run as well, with the
     last state it reached. reached: the instant that the steps came to, beyond the last cut where it
-    was interrupted. longest_step: the bound on the steps. The record of the integration is in
+    was interrupted. longest_step: the bound on the steps. flow_samples: instants
+    at which functions of time were asked beforehand. The record of the integration is in
     `checkpoint`.
     """
 
@@ -98,3 +99,4 @@ class Trajectory:
     failure: str = ""
     reached: float = 0.0
     longest_step: float | None = None
+    flow_samples: int = 0

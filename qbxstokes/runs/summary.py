@@ -239,6 +239,8 @@ def _integrated(summary: dict[str, Any]) -> Rows:
         f"TS {steps['method']}: {counted(steps['steps'], 'step')}, {steps['rejected']} rejected, "
         f"{steps['rhs_evaluations']} right-hand sides",
     )
+    if "flow_samples" in steps:
+        yield "", f"the flow was sampled at {steps['flow_samples']} instants beforehand"
     if "longest_step" in steps:
         yield (
             "",

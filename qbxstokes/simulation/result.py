@@ -265,5 +265,6 @@ def integration_facts(trajectory: Any) -> dict[str, Any]:
         "reachable_error": record.reachable,
         "quaternion_norm_drift": record.norm_drift,
         **({"longest_step": trajectory.longest_step} if trajectory.longest_step else {}),
+        **({"flow_samples": trajectory.flow_samples} if trajectory.flow_samples else {}),
         **({"changed": record.changed} if record.changed else {}),
     }
