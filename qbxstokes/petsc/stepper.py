@@ -6,17 +6,15 @@ and cost nothing inside them. The steps do not depend on the instants that are a
 Events are found by an observer between the steps, as roots of functions of the states inside a step
 (`dense_output`), not by TSSetEventHandler. That one ends a step at each event and starts the next
 afresh, so that the motion would depend on what is watched for; it acts within TSSolve alone, which
-leaves no place for cuts; and how well an instant is known depends on the size of the function's
-values near it: with PETSc's own tolerance for events the instants err by 1e-7 to 1e-6 in a motion
-good to 1e-8, and with a fine one BDF begins anew at low order so often that its error grows from
-2e-8 to 5e-5. The functions found between the steps leave the motion as it is, to the last bit.
+leaves no place for cuts; and its instants err by 1e-7 to 1e-6 in a motion good to 1e-8, unless BDF
+is to begin anew so often that its error grows to 5e-5. Here the motion stays, to the last bit.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
 lower one, which makes the global error proportional to the local tolerance; the factor is the
 sensitivity of the equations (`RigidBodyEquations.sensitivity`), and the tolerance is divided by it.
 
-The quaternion's length has no effect on the motion (`motion.kernels`); it is set to 1 at every cut.
+The quaternion's length has no effect on the motion (`motion.kernels`); it is 1 after every cut.
 """
 
 from __future__ import annotations
@@ -89,8 +87,7 @@ def integrate(
     it, a step that cannot be completed ends the run (`refusal`, `failure`) instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
     breaks: instants at which the equations are not smooth in time: steps end there, and begin
-    afresh. watch: what looks after the flow; see `Watch`.
-    comm: of one process, PETSc's own.
+    afresh. watch: what looks after the flow (`Watch`). comm: of one process, PETSc's own.
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
     shape = equations.layout.columns, equations.layout.n_state
@@ -199,7 +196,8 @@ class Run:
             halt = None
             try:
                 self._to_break(t, start)
-                t = self._end if _reached(ts.getTime(), self._end) else ts.getTime()
+                t = min(ts.getTime(), self._end)
+                t = self._end if math.isclose(t, self._end, rel_tol=1e-14) else t
                 if watch is not None:
                     halt = watch(self._inside.observed(before, start, t))
             except (FlowError, ContactError, ConvergenceError) as error:
@@ -251,11 +249,10 @@ class Run:
             self._watch.until(limit)
         if not last and t + length > limit - 1e-3 * length:
             ts.setTimeStep(limit - t)
-        reach = min(t + length, limit, self._end)
-        known = self._system.cover(t, reach)
-        if known < reach:
+        known = self._system.cover(t, min(t + length, limit))
+        if known < min(t + length, limit):
+            self.counter.refusal = self._system.refusal
             if known - t <= 1e-13 * self._end:
-                self.counter.refusal = self._system.refusal
                 raise self._failed("", NO_VALUE)
             ts.setTimeStep(known - t)
         self._step(start)
@@ -294,6 +291,8 @@ class Run:
 
     def _accepted(self) -> bool:
         """Whether the watch lets a step stand."""
+        if not self._watch.looks:
+            return True
         try:
             return self._watch.accept(self.ts.getTime(), self._system.read(self._vector))
         except FlowError as refusal:
@@ -399,7 +398,3 @@ def _of_unit_length(states: Array) -> Array:
     """The states (..., n_state), with their quaternions set to length 1."""
     states[..., ORIENTATION] = rotation.normalize(states[..., ORIENTATION])
     return states
-
-
-def _reached(t: float, end: float) -> bool:
-    return t >= end or math.isclose(t, end, rel_tol=1e-14)

@@ -14,7 +14,12 @@ Array = NDArray[np.float64]
 
 
 class Watch:
-    """What looks after the flow of a run: nothing here. States are (columns, n_state)."""
+    """What looks after the flow of a run: nothing here. States are (columns, n_state).
+
+    looks: whether `accept` has anything to look at.
+    """
+
+    looks = False
 
     def begin(self, t: float, states: Array) -> None:
         """Before the first step from a start or a cut."""

@@ -48,6 +48,7 @@ class FlowWatch(Watch):
                 slower = allowed / max(k, 1.0 / k) ** 2 if k > 0.0 else 0.0
                 self._motions.append((formed.provider, lanes, (allowed, slower)))
         self._count, self._looks, self._looked, self._apart = 0, 0, 0.0, end / _MOST_LOOKS
+        self.looks = bool(self._users or self._motions)
 
     def until(self, t: float) -> None:
         """Let all flows show themselves as before the break t."""
