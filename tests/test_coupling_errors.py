@@ -83,3 +83,18 @@ def test_estimates_of_the_resistance_hold_against_exact_series(gap: float) -> No
     series = Bispherical(1.0, 1.0, gap).along()
     true = np.abs(found[np.ix_([2, 8], [2, 8])] - series).max() / np.abs(found).max()
     assert estimate >= true / 3.0
+
+
+@pytest.mark.slow
+def test_the_edge_of_a_disc_near_a_flank_is_served_and_told() -> None:
+    """Takes more nodes than a motion would, on these two bodies alone."""
+    place = ([[0, 0, 0], [0, 0, 3.1], [5, 1, 0]], [[0, 0, 1], [1, 0, 0], [0, 1, 1]])
+    bodies, v = [qs.Body(2.0), qs.Body(2.0), qs.Body(0.5)], [[0, 0, 1], [0, 0, -1], [0, 0, 0]]
+    found = qs.Suspension(bodies, tolerance=1e-6).held(None, *place, velocity=v)
+    assert found.nodes[0] > 64
+    assert found.nodes[2] == 8
+    finer = qs.Suspension(bodies, tolerance=1e-8)
+    exact = finer.held(None, *place, velocity=v, nodes=[82, 54, 20])
+    error = np.abs(found.force - exact.force).max()
+    assert error < 1e-6 * np.abs(exact.force).max()
+    assert error < found.error_estimate["force"] < 100.0 * error

@@ -29,29 +29,30 @@ are those of the space frame; force and torque are exerted by the bodies ON the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.bie.scatterer import Scatterer, scatterer
-from qbxstokes.errors import ContactError
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.confocal import Table
 from qbxstokes.qbx.exterior import ExteriorFlow
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.typing import Array, ComplexArray, Integers
 
-# Measured error with n polar nodes: C exp(-2 a n) with the rate a of the gap, see `factor`. Discs
-# edge to edge fall slower, by exp(-SLOW a) a node.
-FACTOR, SLOW = 400.0, 1.3
-LEAST_NODES, MOST_NODES = 8, 64
+SLOW = 1.3  # errors fall by exp(-SLOW a) a node, a the rate of the gap, or faster
+LEAST_NODES = 8
 STAGES = 4  # as good as one body after the other
 # Polar nodes that the grids of an error estimate have less; relative errors, in tolerances of the
 # problem, that both solutions may share, and of sums at mirrored points: second derivatives count.
 _LESS, _SHARED, _MIRRORED = 2, 0.1, 0.1
+# Points of a grid at most whose harmonics are of one degree, and how much more closely they are
+# summed on parts of one: high degrees are many.
+_TOGETHER, _CLOSER = 4096, 1e-3
 # Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
 KEPT_NUMBERS = 1.5e8
 
@@ -122,31 +123,6 @@ def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Gaps:
     return gaps_between(centres, axes, k, size.astype(float), *above)
 
 
-def factor(k: float, free: bool, wall: bool) -> float:
-    """C of a body's error, relative: of velocities of free bodies, else of the resistance.
-
-    Measured up to: resistance 300, 1900 (k = 1, 2); free by a wall 8, 45, 340 (k = 1/2, 1, 2),
-    among others 0.04, 0.5, 16.
-    """
-    if not free:
-        return FACTOR * k * k
-    return 40.0 * max(k, k**3) if wall else 2.0 * max(k, k**4)
-
-
-def least_rate(tolerance: float) -> float:
-    """The rate of decay of a gap below which MOST_NODES do not serve a relative error."""
-    return math.log(FACTOR / tolerance) / (2.0 * (MOST_NODES - 1))
-
-
-def nodes_for(rate: float, tolerance: float, factor: float = FACTOR) -> int:
-    """Polar nodes for the rate of decay of a gap (see `Gaps`) and a relative error."""
-    if rate == np.inf:
-        return LEAST_NODES
-    wanted = math.log(factor / tolerance) / (2.0 * max(rate, 1e-6))
-    # Even numbers, so that few different maps are formed.
-    return max(LEAST_NODES, 2 * math.ceil(0.5 * wanted + 0.5))
-
-
 @dataclass
 class Coupled:
     """The linear problem of bodies at one instant.
@@ -160,7 +136,7 @@ class Coupled:
     nodes: Sequence[int]
     tolerance: float = 1e-12
     own: Sequence[int] | None = None
-    _tables: dict[tuple[int, int, bool], Table] = field(default_factory=dict)
+    _tables: dict[tuple[int, int, bool], list[tuple[Any, Table]]] = field(default_factory=dict)
     _kept: float = 0.0
 
     @property
@@ -264,24 +240,41 @@ class Coupled:
 
     # -- what arrives -------------------------------------------------------------------------
 
-    def _table(self, c: int, b: int, mirrored: bool) -> Table:
+    def _tables_on(self, c: int, b: int, mirrored: bool) -> Iterable[tuple[Any, Table]]:
+        """Harmonics of body c at parts of body b's grid, of fewer degrees where it is farther."""
         key = (c, b, mirrored)
         if key in self._tables:
             return self._tables[key]
-        table = self.table_at(c, self.points[b], mirrored)
-        if self._kept + table.values.size < KEPT_NUMBERS:
-            self._kept += table.values.size
-            self._tables[key] = table
-        return table
+        parts: list[Any] = [slice(None)]
+        large = len(self.points[b]) > _TOGETHER
+        degrees, x = self._degrees(c, self.points[b], mirrored, _CLOSER if large else 1.0)
+        if large:
+            order = np.argsort(-degrees, kind="stable")
+            parts = np.array_split(order, 8 * len(x) // _TOGETHER)
+        harmonics = self.maps[c].harmonics
+        made = ((p, harmonics.table(x[p], int(degrees[p].max()), mirrored)) for p in parts)
+        size = (10 if mirrored else 4) * sum((d := degrees[p]).size * d.max() ** 2 for p in parts)
+        if self._kept + size < KEPT_NUMBERS:
+            self._kept += size
+            self._tables[key] = list(made)
+            return self._tables[key]
+        return made
 
-    def table_at(self, c: int, points: Array, mirrored: bool) -> Table:
-        """Harmonics of body c at points of space, or at their mirror images."""
-        tolerance, one = self.tolerance, self.maps[c]
+    def _degrees(
+        self, c: int, points: Array, mirrored: bool, closer: float = 1.0
+    ) -> tuple[Integers, Array]:
+        """Degrees of body c's harmonics that serve at points, and the points in its frame."""
+        tolerance = closer * self.tolerance
         if mirrored:
             assert self.wall is not None
             points, tolerance = self.wall.mirrored(points), _MIRRORED * tolerance
         x = self.bodies[c].to_body(points)
-        return one.harmonics.table(x, one.degree_for(x, tolerance), mirrored)
+        return self.maps[c].degrees_for(x, tolerance), x
+
+    def table_at(self, c: int, points: Array, mirrored: bool) -> Table:
+        """Harmonics of body c at points of space, or at their mirror images."""
+        degrees, x = self._degrees(c, points, mirrored)
+        return self.maps[c].harmonics.table(x, int(degrees.max()), mirrored)
 
     def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
         """Velocity (N, 3), in space, of body c's own flow at points of space."""
@@ -313,12 +306,13 @@ class Coupled:
 
         flows: by body; its own arrives by the wall alone.
         """
-        total = np.zeros((len(self.points[b]), 3))
+        points = self.points[b]
+        total = np.zeros((len(points), 3))
         for c, flow in flows.items():
-            if c != b:
-                total += self.sent(c, flow, self.points[b], self._table(c, b, False))
-            if self.wall is not None:
-                total += self.reflected(c, flow, self.points[b], self._table(c, b, True))[0]
+            for part, table in self._tables_on(c, b, False) if c != b else ():
+                total[part] += self.sent(c, flow, points[part], table)
+            for part, table in self._tables_on(c, b, True) if self.wall is not None else ():
+                total[part] += self.reflected(c, flow, points[part], table)[0]
         return total @ self.bodies[b].rotation
 
     # -- data and results ---------------------------------------------------------------------
@@ -362,37 +356,6 @@ class Coupled:
         """Motion alone (6,), map's units, of body b under a load (6,) of space; and its flow."""
         motion = self.to_body(b, load, forces=True) / np.diag(self.maps[b].resistance)
         return motion, np.tensordot(motion, self.maps[b].rigid_flows, 1)
-
-
-def check_apart(bodies: Sequence[Placed], wall: Plane | None) -> Array:
-    """Each body's least rate. Raises ContactError where a gap is not positive."""
-    least, (b, c), rates = closest(bodies, wall)
-    if least <= 0.0:
-        raise ContactError(names_of(b, c), least, "they touch or overlap")
-    return rates
-
-
-def choose_nodes(
-    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, free: bool = False
-) -> list[int]:
-    """Polar nodes of each body that serve a tolerance for certain, perhaps above MOST_NODES.
-
-    free: for velocities under given loads, which take fewer than forces of given motions. Raises
-    ContactError for bodies that touch.
-    """
-    return [
-        nodes_for(rate, tolerance, factor(body.ratio, free, wall is not None))
-        for body, rate in zip(bodies, check_apart(bodies, wall), strict=True)
-    ]
-
-
-def too_near(
-    bodies: Sequence[Placed], wall: Plane | None, tolerance: float, n: int
-) -> ContactError:
-    """What is said of a gap that takes n polar nodes."""
-    gap, (b, c), _ = closest(bodies, wall)
-    text = f"the tolerance {tolerance:.0e} would take {n} polar nodes"
-    return ContactError(names_of(b, c), gap, text)
 
 
 def names_of(b: int, c: int) -> str:

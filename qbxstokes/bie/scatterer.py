@@ -16,7 +16,7 @@ import numpy as np
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import SurfaceToExterior
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.typing import Array, ComplexArray, Integers
 
 
 class Scatterer(SurfaceToExterior):
@@ -48,13 +48,11 @@ class Scatterer(SurfaceToExterior):
         w = np.repeat(self.grid.theta_weights * np.sin(self.grid.theta), self.grid.n_phi)
         return np.asarray(np.sqrt(w / w.sum())[:, None])
 
-    def degree_for(self, points: Array, tolerance: float) -> int:
-        """Degree beyond which harmonics are below tolerance at points (N, 3) of the body frame."""
-        decay = self.grid.shape.decay(points).max()
-        top = self.harmonics.degree
-        if decay >= 1.0:
-            return top
-        return int(min(max(3, np.ceil(np.log(tolerance) / np.log(decay)) + 2), top))
+    def degrees_for(self, points: Array, tolerance: float) -> Integers:
+        """Degrees (N,) beyond which harmonics are below tolerance at points of the body frame."""
+        decay = np.minimum(self.grid.shape.decay(points), 1.0 - 1e-9)
+        wanted = np.ceil(np.log(tolerance) / np.log(decay)) + 2.0
+        return np.asarray(np.clip(wanted, 3, self.harmonics.degree), dtype=np.int64)
 
 
 @lru_cache(maxsize=64)

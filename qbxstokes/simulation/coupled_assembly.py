@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.multiple_scattering import LEAST_NODES, MOST_NODES, closest, names_of
+from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
 from qbxstokes.geometry import rotation
@@ -24,6 +24,7 @@ from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import split_columns, watched
+from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import INSIDE, TABLE
 from qbxstokes.bie.field import USUAL, in_blocks, on_surface, sizes
-from qbxstokes.bie.multiple_scattering import MOST_NODES
 from qbxstokes.flows import Flow
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.qbx.exterior import SURFACE_MARGIN
 from qbxstokes.simulation.flow_around import Instant
+from qbxstokes.simulation.grid_choice import MOST_NODES
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation

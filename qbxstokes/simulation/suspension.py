@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.multiple_scattering import (
-    MOST_NODES,
-    Coupled,
-    Placed,
-    Plane,
-    choose_nodes,
-    least_rate,
-)
+from qbxstokes.bie.multiple_scattering import Coupled, Placed, Plane
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.grid_choice import flow_nodes_on, probed_nodes
+from qbxstokes.simulation.grid_choice import (
+    MOST_NODES,
+    choose_nodes,
+    flow_nodes_on,
+    least_rate,
+    probed_nodes,
+)
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.solved_instant import Solution
 from qbxstokes.simulation.wall import Wall
