@@ -108,6 +108,10 @@ class CoupledEquations(RigidBodyEquations):
         """Fastest relaxation rate of each body alone, (N,); zero for St = 0."""
         return self._relaxation
 
+    @property
+    def function_rows(self) -> None:
+        """No compiled flow moves bodies that feel each other."""
+
     def rates(self, t: float, y: Array, out: Array) -> None:
         """Write dy/dt, (n_state, N)."""
         out[:] = self._rate_of(t, y.T).T
