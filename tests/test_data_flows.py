@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -405,6 +407,87 @@ def test_a_compiled_function_moves_a_body_as_the_plain_one(tmp_path: Path) -> No
             assert np.abs(plain[one] - fast[one]).max() < 1e-10
     with pytest.raises(FlowError, match=r"parameters are \['s'\]"):
         qs.flow("user", function=name, compiled=True)
+
+
+@pytest.mark.parametrize(("stokes_number", "loaded"), [(0.0, True), (2.0, False), (2.0, True)])
+def test_compiled_flows_with_loads_and_inertia(
+    stokes_number: float, loaded: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "rolls.py").write_text(ROLLS)
+    loads = None
+    if loaded:
+        loads = qs.Loads(
+            force=[0.3, -2, 1],
+            torque=[0.2, 0.1, 0.3],
+            body_force=[0, 0.2, 1],
+            body_torque=[1, 0, 2],
+        )
+    slow, fast = (
+        qs.Body(0.4, stokes_number=stokes_number).integrate(
+            qs.flow(
+                "user",
+                function=f"{tmp_path}/rolls.py:{name}",
+                compiled=name == "fast",
+                parameters={"s": 0.5},
+                length=3.0,
+            ),
+            [1.0],
+            orientation=[AXIS, [1, 0, 0]],
+            loads=loads,
+            tolerance=1e-9,
+        )
+        for name in ("slow", "fast")
+    )
+    for name in ("axis", "position", "velocity"):
+        assert np.abs(getattr(fast, name) - getattr(slow, name)).max() < 1e-12
+
+
+def test_functions_of_c_move_a_body_as_the_plain_one(tmp_path: Path) -> None:
+    (tmp_path / "rolls.py").write_text(ROLLS)
+
+    def in_c(x, y, z, t, p, u):  # type: ignore[no-untyped-def]
+        w = p[0] * (1.0 + 0.3 * math.cos(t)) * math.exp(0.3 * y)
+        u[0], u[1], u[2] = w * math.cos(0.3 * x), w * math.sin(0.3 * x), 0.0
+
+    pointer = numba.types.CPointer(numba.float64)
+    found = numba.cfunc(numba.void(*[numba.float64] * 4, pointer, pointer))(in_c)
+    given = f"{tmp_path}/rolls.py:slow", found, found.ctypes, found.address
+    motions = [
+        qs.Body(0.2).integrate(
+            qs.flow("user", function=f, parameters={"s": 0.5}, length=3.0, compiled=f != given[0]),
+            [1.0],
+            orientation=AXIS,
+            tolerance=1e-8,
+        )
+        for f in given
+    ]
+    for motion in motions[1:]:
+        assert np.abs(motion.axis - motions[0].axis).max() < 1e-13
+    (tmp_path / "a.so").write_bytes(b"")
+    with pytest.raises(FlowError, match="compiled: true"):
+        qs.flow("user", function=f"{tmp_path}/a.so:velocity")
+    other = numba.cfunc(numba.float64(numba.float64))(lambda x: x)
+    with pytest.raises(FlowError, match="a C function of a flow is void"):
+        qs.flow("user", function=other, compiled=True)
+
+
+def test_steps_are_taken_again_where_a_grid_misses_too_much() -> None:
+    """A body that drifts into a region where the flow varies over it."""
+
+    def stokeslet(x: Any) -> Any:
+        r = x - [30.0, 3.0, 0.0]
+        d = np.linalg.norm(r, axis=1, keepdims=True)
+        return [1.0, 0.0, 0.0] + 3.0 * ([0.0, 1.0, 0.0] / d + r * r[:, 1:2] / d**3)
+
+    flow, body = qs.flow("user", function=stokeslet, length=3.0), qs.Body(0.5)
+    motion = body.integrate(flow, [34.0], orientation=AXIS, tolerance=1e-5)
+    exact = qs.flow("uniform", velocity=[1, 0, 0]) + qs.flow(
+        "stokeslet", strength=[0, 24.0 * np.pi, 0], position=[30, 3, 0]
+    )
+    true = body.integrate(exact, [34.0], orientation=AXIS, tolerance=1e-9)
+    assert np.abs(motion.axis - true.axis).max() < 1e-5
+    assert np.abs(motion.position - true.position).max() < 1e-4
+    assert motion.summary["coarsest_nodes"][0] < 6 < motion.summary["finest_nodes"][0]
 
 
 def test_what_cannot_be_compiled_is_told(tmp_path: Path) -> None:

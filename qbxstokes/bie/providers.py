@@ -151,6 +151,7 @@ class MonitoredGridMotion:
         # A digit below the power of the tolerance: the rate is known up to a factor.
         self._tolerance, self._least = tolerance, 0.1 * tolerance ** (2.0 / 3.0)
         self._start, self.finest = start, start
+        self.coarsest: tuple[int, int] | None = None  # of runs
         self._grids: dict[tuple[int, int], GridMotion] = {}
         self._rungs = list(_RUNGS)
         self._rung: int | None = None
@@ -174,7 +175,8 @@ class MonitoredGridMotion:
             motion[waiting], sizes = self._sampled(self._grid(level), *places)
             rough, _ = self._sampled(self._grid(coarse), *places)
             change = self._change(motion[waiting], rough, sizes)
-            self.finest = max(self.finest, level)
+            if self.coarsest is None:
+                self.finest = max(self.finest, level)
             open_still = ~(change <= self._least)
             waiting, change = waiting[open_still], change[open_still]
             if not len(waiting):
@@ -214,6 +216,7 @@ class MonitoredGridMotion:
         if self._rung and excess < 0.01 and self._accepted % 8 == 0:
             below, _ = self._excess(self._rung - 1, t, x, q)
             self._rung -= below < _MARGIN
+            self._note()
         return True
 
     def _climb(self, t: float, x: Array, q: Array) -> None:
@@ -226,7 +229,13 @@ class MonitoredGridMotion:
             if nodes >= MOST_NODES:
                 raise self._beyond(t, x[worst], excess * self._tolerance, nodes)
             self._rung += 1
-        self.finest = max(self.finest, self._rungs[self._rung])
+        self._note()
+
+    def _note(self) -> None:
+        assert self._rung is not None
+        nodes = self._rungs[self._rung]
+        self.finest = max(self.finest if self.coarsest else nodes, nodes)
+        self.coarsest = min(self.coarsest or nodes, nodes)
 
     def _excess(self, rung: int, t: float, x: Array, q: Array) -> tuple[float, int]:
         """What a grid misses at most over what it may, and of which body; q of any length."""

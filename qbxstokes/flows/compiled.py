@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import inspect
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -9,20 +10,31 @@ from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from qbxstokes.errors import FlowError
 
 inner = numba.njit(error_model="numpy")
 _KEY = ("function",)
+_POINTER: type = type(ctypes.CFUNCTYPE(None)()).__mro__[1]  # of all functions of ctypes
+_IN_C = (types.void, *[types.float64] * 4, *[types.CPointer(types.float64)] * 2)
+_IN_C_TEXT = "void(float64, float64, float64, float64, CPointer(float64), CPointer(float64))"
 
 
-def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any]) -> Any:
+def compiled_function(function: Any, parameters: Mapping[str, Any]) -> Any:
     """point(x, y, z, t) -> (u1, u2, u3) for compiled loops, and whether it takes time.
 
     function: f(x, y, z) or f(x, y, z, t), and parameters after these, numbers by name; three
-    numbers are returned. Python's own or one of numba's. Raises FlowError where it cannot be
-    compiled.
+    numbers are returned. Python's own or one of numba's. Or a function of C, from ctypes, numba's
+    cfunc, or by its address: void f(double x, double y, double z, double t, const double *p,
+    double *u), with the parameters p in the order that they are given in. Raises FlowError where it
+    cannot be compiled.
     """
+    if (address := _address_of(function)) is not None:
+        return _point_at(address, _numbers(parameters, list(parameters))), True
     plain = getattr(function, "py_func", function)
     names = list(inspect.signature(plain).parameters)
     places = 4 if names[3:4] in (["t"], ["time"]) else 3
@@ -33,10 +45,7 @@ def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any
         wrong = f"the function's parameters are {names[places:]}, and given are {list(parameters)}"
         raise FlowError(wrong, _KEY)
     own = function if hasattr(function, "py_func") else _own(plain)
-    try:
-        numbers = tuple(float(parameters[name]) for name in names[places:])
-    except (TypeError, ValueError):
-        raise FlowError("parameters of a compiled function are numbers", ("parameters",)) from None
+    numbers = _numbers(parameters, names[places:])
     try:
         found = own(0.1, 0.2, 0.3, *(0.0,) * (places - 3), *numbers)
     except numba.core.errors.NumbaError as error:
@@ -48,6 +57,57 @@ def compiled_function(function: Callable[..., Any], parameters: Mapping[str, Any
     if not isinstance(found, tuple) or len(found) != 3:
         raise FlowError("a compiled function returns three numbers, u1, u2, u3", _KEY)
     return _point(own, places == 4, numbers), places == 4
+
+
+def _numbers(parameters: Mapping[str, Any], names: list[str]) -> tuple[float, ...]:
+    try:
+        return tuple(float(parameters[name]) for name in names)
+    except (TypeError, ValueError):
+        raise FlowError("parameters of a compiled function are numbers", ("parameters",)) from None
+
+
+def _address_of(function: Any) -> int | None:
+    """The address of a function of C, None for others; raises FlowError for what can be none."""
+    given: Any = function
+    if isinstance(function, _POINTER):
+        return ctypes.cast(given, ctypes.c_void_p).value
+    found = getattr(function, "address", function if isinstance(function, int) else None)
+    signature = getattr(function, "_sig", None)
+    if signature is not None and (signature.return_type, *signature.args) != _IN_C:
+        raise FlowError(f"a C function of a flow is {_IN_C_TEXT}, not {signature}", _KEY)
+    return None if found is None else int(found)
+
+
+@intrinsic
+def _call(context, address, x, y, z, t, parameters):  # type: ignore[no-untyped-def]
+    """The three numbers that a function of C writes."""
+    three = types.UniTuple(types.float64, 3)
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        real, pointer = ir.DoubleType(), ir.DoubleType().as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [real] * 4 + [pointer] * 2)
+        place, *given, numbers = arguments
+        out = cgutils.alloca_once(builder, real, size=3)
+        function = builder.inttoptr(place, kind.as_pointer())
+        builder.call(function, [*given, builder.inttoptr(numbers, pointer), out])
+        u = [builder.load(builder.gep(out, [ir.IntType(32)(i)])) for i in range(3)]
+        return context.make_tuple(builder, three, u)
+
+    return three(types.intp, *[types.float64] * 4, types.intp), generate
+
+
+@cache
+def _point_at(address: int, numbers: tuple[float, ...]) -> Any:
+    """A function of C with its parameters."""
+    held = np.array([*numbers, 0.0])
+    place = held.ctypes.data
+
+    @inner
+    def point(x: float, y: float, z: float, t: float) -> Any:
+        return _call(address, x, y, z, t, place)
+
+    point.held = held
+    return point
 
 
 @cache

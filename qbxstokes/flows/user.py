@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import inspect
 import math
@@ -31,9 +32,10 @@ _PRESSURE_NODES = 24
 # Difference of a given derivative from that of the velocity that differences may leave.
 _AGREED = 1e-5
 # Where functions are that no file holds, but a program has given: `hand_over`.
-_GIVEN = ("parameters",)
+_GIVEN, _FUNCTION = ("parameters",), ("function",)
 _PYTHON = "<python>.py"
 _handed: WeakValueDictionary[str, Any] = WeakValueDictionary()
+LIBRARIES = (".so", ".dylib", ".dll")  # files that functions of C are in
 _kept: dict[str, Any] = {}  # what Python cannot refer to weakly, such as a function written in C
 
 
@@ -46,7 +48,8 @@ class UserFlow(Transformable):
     (Laplacian) and 1e-8 (curl of the Laplacian). A function of x alone is steady.
     `parameters` are passed on as keyword arguments. compiled: the function is one of numbers,
     f(x, y, z), or f(x, y, z, t), and its parameters after these, with three numbers returned; numba
-    compiles it into the loops over the body's surface. breaks: instants at which it is not smooth.
+    compiles it into the loops over the body's surface; or one of C (`compiled.compiled_function`),
+    as such or of a shared library, file.so:function. breaks: instants at which it is not smooth.
     gradient, hessian: functions of the same arguments, (n, i, j) = d_j u_i and (n, i, j, k) = d_j
     d_k u_i, for bodies that are moved by derivatives at their centres. recognise: whether to try if
     it is a polynomial of degree three or less.
@@ -77,7 +80,11 @@ class UserFlow(Transformable):
         self.parameters = dict(parameters or {})
         if longest_step is not None:
             self.spacing = number(longest_step, "longest_step", positive=True)
-        self.function = function if callable(function) else load_function(function)
+        if not compiled and str(function).rpartition(":")[0].endswith(LIBRARIES):
+            raise FlowError("a function of C needs compiled: true", ("compiled",))
+        given_itself = callable(function) or (compiled and isinstance(function, int))
+        found: Any = function if given_itself else load_function(str(function))
+        self.function = found
         self.name = function if isinstance(function, str) else _name_of(function)
         if singular_points is None or np.size(singular_points) == 0:
             self._singular_points = np.empty((0, 3))
@@ -229,7 +236,7 @@ class UserFlow(Transformable):
 
     def spec(self) -> dict[str, Any]:
         """Specification; `function` names a file if it was given so."""
-        in_file = self.name.rpartition(":")[0].endswith(".py")
+        in_file = self.name.rpartition(":")[0].endswith((".py", *LIBRARIES))
         return {
             "type": self.type_name,
             "function": self.name if in_file else self.function,
@@ -263,7 +270,7 @@ def hand_over(value: Any) -> str:
 
 
 def load_function(name: str) -> Callable[..., Any]:
-    """The function that "file.py:function" names, or `hand_over`; raises FlowError.
+    """The function that "file.py:function" names, a library's, or `hand_over`; raises FlowError.
 
     A file is executed once in a process, however many functions are taken from it and however
     often; one that has changed since is executed anew.
@@ -272,10 +279,18 @@ def load_function(name: str) -> Callable[..., Any]:
         return handed  # type: ignore[no-any-return]
     path_text, separator, attribute = str(name).rpartition(":")
     path = Path(path_text)
-    if not separator or path.suffix != ".py" or not attribute.isidentifier():
+    known = path.suffix in (".py", *LIBRARIES)
+    if not separator or not known or not attribute.isidentifier():
         raise FlowError(f"function must be given as file.py:function, not {name!r}", ("function",))
     if not path.is_file():
         raise FlowError(f"there is no file {path_text!r} for the function {name!r}", ("function",))
+    if path.suffix != ".py":
+        try:
+            return getattr(ctypes.CDLL(str(path.resolve())), attribute)  # type: ignore[no-any-return]
+        except (OSError, AttributeError) as error:
+            raise FlowError(
+                f"{path_text} has no function {attribute!r}: {error}", _FUNCTION
+            ) from None
     try:
         module = _executed(str(path.resolve()), path.read_bytes())
     except (Exception, SystemExit) as error:
@@ -283,14 +298,14 @@ def load_function(name: str) -> Callable[..., Any]:
             f"{path_text} raised {type(error).__name__}: {error}", ("function",)
         ) from error
     function = getattr(module, attribute, None)
-    if not callable(function):
-        known = [
+    if not callable(function) and not isinstance(function, int):
+        there = [
             key
             for key, value in vars(module).items()
             if inspect.isfunction(value) and not key.startswith("_")
         ]
         raise FlowError(
-            f"{path_text} has no function {attribute!r}; it has {', '.join(known) or 'none'}",
+            f"{path_text} has no function {attribute!r}; it has {', '.join(there) or 'none'}",
             ("function",),
         )
     return function  # type: ignore[no-any-return]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
+from qbxstokes.flows.user import LIBRARIES
 from qbxstokes.io.format import first_difference
 from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
 from qbxstokes.io.store import (
@@ -168,7 +169,7 @@ def _files(value: Any, folder: Path) -> Iterator[tuple[str, str]]:
             yield from _files(entry, folder)
     elif isinstance(value, str):
         stem, colon, _ = value.rpartition(":")
-        name = stem if colon and stem.endswith(".py") else value
+        name = stem if colon and stem.endswith((".py", *LIBRARIES)) else value
         try:
             path = folder / name
             if "." in name and path.is_file():

@@ -205,10 +205,12 @@ def _formed(summary: dict[str, Any]) -> Rows:
             f"true residual <= {error_text(hydro['true_residual'])}",
         )
     if "finest_nodes" in hydro:
-        start, finest = (
-            " x ".join(map(str, hydro[name])) for name in ("flow_nodes", "finest_nodes")
+        first = "coarsest_nodes" if "coarsest_nodes" in hydro else "flow_nodes"
+        start, finest = (" x ".join(map(str, hydro[name])) for name in (first, "finest_nodes"))
+        yield (
+            "flow on the body",
+            f"on {start} points" + (f" to {finest}" if finest != start else ""),
         )
-        yield "flow on the body", f"{start} points at the start, at most {finest}"
     if "neglected" in hydro:
         told = ", ".join(f"{value:.1g}" for value in hydro["neglected"])
         yield "neglected", f"beyond the derivatives, U/(c |grad u|), Omega/|grad u|: {told}"

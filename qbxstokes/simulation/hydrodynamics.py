@@ -117,11 +117,13 @@ class Hydrodynamic:
     def report(self) -> dict[str, Any]:
         """How it was obtained, in numbers and words: discretisation, solves, estimated error."""
         finest = getattr(self.provider, "finest", None)
+        coarsest = getattr(self.provider, "coarsest", None)
         neglected = getattr(self.provider, "neglected", None)
         return {
             **self.facts,
             **self.solves(),
             **({"finest_nodes": list(finest)} if finest else {}),
+            **({"coarsest_nodes": list(coarsest)} if coarsest else {}),
             **({"neglected": list(neglected)} if neglected else {}),
             "error_estimate": self.model.error_estimate,
         }

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 # What a summary tells of a flow.
-_FLOW = ("neglected", "recognised")
+_FLOW = ("neglected", "recognised", "coarsest_nodes", "finest_nodes")
 
 
 @dataclass(frozen=True, repr=False)
