@@ -16,6 +16,7 @@ from qbxstokes.errors import ConvergenceError, QbxStokesError, SinglePrecisionWa
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.signals import Part, Sampled, Signal
 from qbxstokes.petsc.stepper import integrate
+from qbxstokes.simulation.assembly import assemble
 
 TIMES = np.linspace(0.0, 6.0, 241)
 
@@ -185,6 +186,26 @@ def test_plain_and_compiled_find_the_same_numbers(stokes: float) -> None:
         found.append(scene.motion([1.0, 2.5]))
     assert np.array_equal(found[0].axis, found[1].axis)
     assert np.array_equal(found[0].position, found[1].position)
+
+
+def test_lanes_with_flows_of_their_own_find_the_same_numbers() -> None:
+    times, axes = np.linspace(0.0, 3.0, 61), np.random.default_rng(3).normal(size=(10, 3))
+    gradients: list[Any] = [cosines(seed) for seed in range(10)]
+    series = qs.GradientSeries(times, [[a(t) for t in times] for a in gradients])
+    flows = [qs.flow("linear", gradient=series.path(n)) for n in range(9)] + [qs.flow("shear")]
+    mixed = [*flows[:8], qs.flow("linear", gradient=gradients[8]), flows[9]]
+    for block in (flows, mixed):
+        scenes = [
+            qs.Simulation(qs.Body(0.3), flow, orientation=axis, tolerance=1e-7)
+            for flow, axis in zip(block, axes, strict=True)
+        ]
+        found = []
+        for evaluation in ("plain", "compiled"):
+            together = assemble(scenes, evaluation=evaluation)
+            found.append(together.motion([1.0, 3.0]).axis)
+        assert np.array_equal(found[0], found[1])
+        alone = [scene.integrate([1.0, 3.0]).axis for scene in scenes]
+        assert np.abs(found[0] - np.array(alone)).max() < 1e-6
 
 
 def test_a_function_is_asked_once_for_however_many_bodies() -> None:

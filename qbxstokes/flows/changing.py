@@ -79,7 +79,8 @@ class ChangingFlow(SumFlow):
     def until(self, t: float) -> None:
         """Show itself, from now on, as before the break t: at t as just before it."""
         self.signal.last = math.nextafter(t, -math.inf)
-        super().until(t)
+        if not self.polynomials:
+            super().until(t)
 
     def at(self, t: float) -> PolynomialFlow:
         """The polynomial that the flow is at time t."""

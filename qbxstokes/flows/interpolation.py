@@ -113,6 +113,12 @@ class Series:
         found: Array = self.read(0, 1)[0]
         return found
 
+    def like(self, other: Series) -> bool:
+        """Whether another series has the same instants and rules."""
+        rules = self.interpolation, self.outside
+        same = rules == (other.interpolation, other.outside)
+        return same and np.array_equal(self.times, other.times)
+
     def thinned(self) -> Series:
         """The same of every other sample."""
         rules = {"interpolation": self.interpolation, "outside": self.outside}

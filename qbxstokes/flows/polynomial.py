@@ -65,7 +65,7 @@ class PolynomialFlow(Flow):
         ):
             shape = (3,) * rank
             array = np.zeros(shape) if given is None else tensor(given, name, shape)
-            if rank > 2:
+            if rank > 2 and given is not None:
                 must = f"{name} must be symmetric in its derivative indices (all but the first)"
                 orders = [(0, *order) for order in permutations(range(1, rank))]
                 mean = np.mean([array.transpose(order) for order in orders], axis=0)

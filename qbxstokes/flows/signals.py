@@ -32,6 +32,8 @@ _TO_POWERS = _POWERS.T @ _COEFFICIENTS
 _ROUNDING, _NOISE = 2e-15, SINGLE
 # Halvings of a piece, and pieces of a window, at most; pieces asked for at a time.
 _HALVINGS, _MOST, _WINDOW = 45, 10_000, 64
+# Numbers of samples taken up at a time, and of coefficients that are kept.
+_SAMPLES, _KEPT = 10_000, 5_000_000
 # Halvings within which noise is the function's, and beyond which it is that of the instants.
 _ROUGH = 10
 NO_BOUND = "the rates of change grow without bound"
@@ -125,9 +127,16 @@ class Signal:
 
     @property
     def series(self) -> Series | None:
-        """The series that is all there is, or None."""
-        source = self.parts[0].source
-        return source if len(self.parts) == 1 and isinstance(source, Series) else None
+        """A series that all parts are like, or None."""
+        found = [part.source for part in self.parts if isinstance(part.source, Series)]
+        alike = len(found) == len(self.parts) and all(found[0].like(series) for series in found[1:])
+        return found[0] if alike else None
+
+    def powers(self, first: Array, last: Array) -> tuple[Array, Array, Array]:
+        """As `Series.powers`, of series that are alike."""
+        parts = [part.source.powers(first, last) for part in self.parts]  # type: ignore[union-attr]
+        origins, scales, _ = parts[0]
+        return origins, scales, np.concatenate([powers for *_, powers in parts], axis=2)
 
     def breaks(self, end: float) -> Array:
         """Instants between 0 and `end` at which the numbers are not smooth."""
@@ -186,12 +195,13 @@ class Sampled:
             cuts = np.union1d(cuts, np.linspace(0.0, end, count + 1)[1:-1])
         far = np.diff(cuts, prepend=0.0) > 1e-14 * end
         self._cuts = np.concatenate([[0.0], cuts[far & (cuts < end * (1.0 - 1e-14))], [end]])
-        self._size = _WINDOW if self._exact is None else 16 * _WINDOW
+        count = sum(math.prod(part.shape) for part in signal.parts)
+        self._size = _WINDOW if self._exact is None else max(4, _SAMPLES // count)
         self._next, self.asked = 0, 0
         self.refusal: FlowError | None = None
         self.edges = np.zeros(1)
         self.origins, self.scales = np.empty((2, 0))
-        self.coefficients = np.empty((0, 1, sum(math.prod(part.shape) for part in signal.parts)))
+        self.coefficients = np.empty((0, 1, count))
 
     def cover(self, t: float, begin: float) -> float:
         """Know the numbers from `begin` to t at least; the instant up to which they are known."""
@@ -224,13 +234,13 @@ class Sampled:
         if self._exact is not None:
             middle = 0.5 * (first + last)
             count = self._exact.knows(middle)
-            edges, *new = last[:count], *self._exact.powers(first[:count], last[:count])
+            edges, *new = last[:count], *self.signal.powers(first[:count], last[:count])
             if count < len(first):
                 self._refused(float(middle[count]))
         else:
             edges, *new = self._halved(first, last)
         kept = len(self.origins) if first[0] != self.edges[-1] else 0
-        if not kept and len(self.origins) > 20 * self._size:
+        if not kept and self.coefficients.size > _KEPT:
             kept = int(np.searchsorted(self.edges, begin, "right")) - 1
         known = self.edges[kept:] if kept < len(self.edges) - 1 else first[:1]
         self.edges = np.concatenate([known, edges])
@@ -312,5 +322,4 @@ class Sampled:
                 found.append(self.signal.many(row))
         except FlowError as error:
             self.refusal = error
-        width = sum(math.prod(part.shape) for part in self.signal.parts)
-        return np.array(found).reshape(len(found), _NODES, width), True
+        return np.array(found).reshape(len(found), _NODES, self.coefficients.shape[2]), True

@@ -132,8 +132,7 @@ class RigidBodyEquations(Pieces):
 
     def block_constants(self, evaluations: float = 0.0) -> BlockConstants | None:
         """All that the compiled loop takes, where it serves and nothing of it depends on time."""
-        steady = self._steady_loads and (self.changing is None or self.changing.single)
-        return self._block() if steady and self.compiled(evaluations) else None
+        return self._block() if self._steady_loads and self.compiled(evaluations) else None
 
     def at_rest(self, y: Array) -> bool:
         """Whether all centres stay where they are in the states y (n_lanes, n_state), for good.

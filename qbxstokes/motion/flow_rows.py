@@ -1,8 +1,8 @@
 """The numbers of a block's flows that change in time, from instant to instant.
 
 Flows are numbers (`taylor.pack_flow`), some of which are sums of what changes (`flows.signals`).
-While a motion is followed they are polynomials in pieces of time, the same ones for the plain
-kernels and the compiled loop; before that the flows themselves are asked.
+While a motion is followed they are polynomials in pieces of time, the same ones for all flows of
+the block, the plain kernels and the compiled loop; before that the flows themselves are asked.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.changing import ChangingFlow
-from qbxstokes.flows.signals import Sampled
+from qbxstokes.flows.signals import Sampled, Signal
 from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.taylor import pack_flow
 
@@ -24,111 +24,124 @@ Array = NDArray[np.float64]
 class FlowRows:
     """Rows of the table of the flows of a block, (m,) or (m, n_lanes), that change.
 
-    rows: their places; single: whether all lanes share one flow.
+    rows: their places. group (n_lanes,): which of the flows that change a lane has, -1: none; None:
+    all have one.
     """
 
     def __init__(self, flows: PerLane[Any], table: Array) -> None:
-        changing = [
-            (flow, lanes, np.stack([pack_flow(term) for term in flow.polynomials], axis=1))
-            for flow, lanes in flows.groups()
-            if isinstance(flow, ChangingFlow)
+        self.group: NDArray[np.int64] | None = None
+        if not flows.shared:
+            self.group = np.full(table.shape[1], -1)
+        self._flows: list[ChangingFlow] = []
+        for flow, lanes in flows.groups():
+            if isinstance(flow, ChangingFlow):
+                if self.group is not None:
+                    self.group[lanes] = len(self._flows)
+                self._flows.append(flow)
+        packed = [
+            np.stack([pack_flow(term) for term in flow.polynomials], axis=1) for flow in self._flows
         ]
-        some = np.any(
-            [matrix[4:, : len(flow.units)].any(axis=1) for flow, _, matrix in changing], 0
+        pairs = list(zip(self._flows, packed, strict=True))
+        self.rows = 4 + np.flatnonzero(
+            np.any([every[4:, : len(flow.units)].any(axis=1) for flow, every in pairs], axis=0)
         )
-        self.rows = 4 + np.flatnonzero(some)
-        self.single = flows.shared
-        self._others = table[self.rows]
-        self._of: list[_RowsOfFlow] = []
-        self._lanes = []
-        for flow, lanes, matrix in changing:
-            rows, count = matrix[self.rows], len(flow.units)
-            self._of.append(_RowsOfFlow(flow, rows[:, :count], rows[:, count:].sum(axis=1)))
-            self._lanes.append(lanes)
-
-    def at(self, t: float) -> Any:
-        """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ."""
-        if self.single:
-            return self._of[0].at(t)
-        values = self._others
-        for own, lanes in zip(self._of, self._lanes, strict=True):
-            values[:, lanes] = np.array(own.at(t))[:, None]
-        return list(values)
+        # The rows of a flow are still + matrix f(t).
+        self._matrices = [every[self.rows, : len(flow.units)] for flow, every in pairs]
+        self._still = np.stack(
+            [every[self.rows, len(flow.units) :].sum(axis=1) for flow, every in pairs], axis=1
+        )
+        signals = [flow.signal for flow in self._flows]
+        parts = [part for signal in signals for part in signal.parts]
+        self._signal = signals[0] if len(signals) == 1 else Signal(parts)
+        self._table = table
+        self._sampled: Sampled | None = None
+        self._known: tuple[Any, Array] = (None, self._still)
+        # Ends of the piece asked for last, its origin and scale, and its coefficients, last first.
+        self._piece: tuple[float, float, float, float, Any] = (0.0, 0.0, 0.0, 0.0, None)
 
     def sample(self, end: float, accuracy: float, longest: float) -> None:
         """From now on be polynomials in time, for motions that end at `end`."""
-        for own in self._of:
-            own.take(own.flow.signal.sampled(end, accuracy, longest))
+        self._sampled = self._signal.sampled(end, accuracy, longest)
+        self._piece = (0.0, 0.0, 0.0, 0.0, None)
 
     def cover(self, begin: float, t: float) -> float:
         """Know the flows from `begin` to t, if possible; the instant up to which they are known."""
-        return min(own.sampled.cover(t, begin) for own in self._of if own.sampled is not None)
+        assert self._sampled is not None
+        return self._sampled.cover(t, begin)
+
+    def at(self, t: float) -> Any:
+        """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ."""
+        t = min(t, self.last)
+        if not self._piece[0] <= t < self._piece[1]:
+            place = -1 if self._sampled is None else self._sampled.piece(t)
+            if place < 0 or self._sampled is None:
+                return self._placed(self._asked(t))
+            known = self._sampled
+            powers: Any = self._coefficients()[place, ::-1]
+            if self.group is None:
+                powers = powers[:, :, 0].T.tolist()
+            low, high = known.edges[place : place + 2].tolist()
+            self._piece = low, high, known.origins[place], known.scales[place], powers
+        _, _, origin, scale, powers = self._piece
+        x = float((t - origin) * scale)
+        if self.group is None:
+            return [_value(row, x) for row in powers]
+        return self._placed(_value(powers, x))
+
+    def _asked(self, t: float) -> Array:
+        """The rows (rows, flows) by the flows themselves."""
+        pairs = zip(self._flows, self._matrices, strict=True)
+        found = np.stack([matrix @ flow.signal.at(t) for flow, matrix in pairs], axis=1)
+        return np.asarray(self._still + found)
+
+    def _placed(self, values: Array) -> Any:
+        """Rows (rows, flows) to the lanes."""
+        if self.group is None:
+            return values[:, 0].tolist()
+        lanes = self.group >= 0
+        found = self._table[self.rows]
+        found[:, lanes] = values[:, self.group[lanes]]
+        return list(found)
+
+    def _coefficients(self) -> Array:
+        """Those of the rows, (pieces, degree + 1, rows, flows)."""
+        assert self._sampled is not None
+        given = self._sampled.coefficients
+        if self._known[0] is not given:
+            ends = np.cumsum([matrix.shape[1] for matrix in self._matrices])
+            parts = np.split(given, ends[:-1], axis=2)
+            pairs = zip(parts, self._matrices, strict=True)
+            found = np.stack([part @ matrix.T for part, matrix in pairs], axis=3)
+            found[:, 0] += self._still
+            self._known = given, found
+        return self._known[1]
 
     @property
     def refusal(self) -> FlowError | None:
         """What a flow said where it is known no further."""
-        found = (own.sampled.refusal for own in self._of if own.sampled is not None)
-        return next((refusal for refusal in found if refusal is not None), None)
+        return None if self._sampled is None else self._sampled.refusal
 
     @property
     def asked(self) -> int:
-        """How often the flows were asked."""
-        return sum(own.sampled.asked for own in self._of if own.sampled is not None)
+        """At how many instants functions of the flows were asked."""
+        return 0 if self._sampled is None else self._sampled.asked
 
     @property
     def last(self) -> float:
         """The instant as of which later ones are seen (`Flow.until`)."""
-        return float(self._of[0].flow.signal.last)
+        return self._flows[0].signal.last
 
     @property
     def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Edges, origins, scales and coefficients of the rows, of one flow."""
-        own = self._of[0]
-        assert own.sampled is not None
-        return own.sampled.edges, own.sampled.origins, own.sampled.scales, own.coefficients()
+        """Edges, origins and scales of the pieces, and coefficients of the rows."""
+        known = self._sampled
+        assert known is not None
+        return known.edges, known.origins, known.scales, self._coefficients()
 
 
-class _RowsOfFlow:
-    """still + matrix f(t) of one flow."""
-
-    def __init__(self, flow: ChangingFlow, matrix: Array, still: Array) -> None:
-        self.flow, self._matrix, self._still = flow, matrix, still
-        self.sampled: Sampled | None = None
-        self._known: tuple[Any, Array] = (None, still)
-        # Ends of the piece asked for last, its origin and scale, and its coefficients by row.
-        self._piece: tuple[float, float, float, float, list[list[float]]] = (0.0, 0.0, 0.0, 0.0, [])
-
-    def take(self, sampled: Sampled) -> None:
-        """From now on be what was sampled."""
-        self.sampled, self._piece = sampled, (0.0, 0.0, 0.0, 0.0, [])
-
-    def at(self, t: float) -> list[float]:
-        """The rows at an instant."""
-        t = min(t, self.flow.signal.last)
-        if not self._piece[0] <= t < self._piece[1]:
-            place = -1 if self.sampled is None else self.sampled.piece(t)
-            if place < 0 or self.sampled is None:
-                asked: list[float] = (self._still + self._matrix @ self.flow.signal.at(t)).tolist()
-                return asked
-            edges, of = self.sampled.edges, (self.sampled.origins, self.sampled.scales)
-            ends = edges[place : place + 2].tolist()
-            powers = self.coefficients()[place, ::-1].T.tolist()
-            self._piece = *ends, *(float(part[place]) for part in of), powers
-        _, _, origin, scale, powers = self._piece
-        x, found = (t - origin) * scale, []
-        for row in powers:  # in the order of the compiled loop
-            value = 0.0
-            for coefficient in row:
-                value = value * x + coefficient
-            found.append(value)
-        return found
-
-    def coefficients(self) -> Array:
-        """Those of the rows, (pieces, degree + 1, rows)."""
-        assert self.sampled is not None
-        given = self.sampled.coefficients
-        if self._known[0] is not given:
-            rows = given @ self._matrix.T
-            rows[:, 0] += self._still
-            self._known = given, rows
-        return self._known[1]
+def _value(coefficients: Any, x: float) -> Any:
+    """The polynomial of coefficients, that of the highest power first: as in the compiled loop."""
+    found = coefficients[0]
+    for coefficient in coefficients[1:]:
+        found = found * x + coefficient
+    return found

@@ -71,16 +71,17 @@ _FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL, _CHANGING = (False,) * 
 # Places of the constants: calls so far, number of columns, what follows the flow, address and size
 # of the pieces of a flow that changes, and where the parts begin, in the order of `BlockConstants`.
 _CALLS, _COLUMNS, _FOLLOW, _PIECES, _SIZE, _PARTS = 0, 1, 2, 4, 5, 6
-# Places in the pieces (`flow_rows`): how many, coefficients and rows of each, the last one asked
-# for, the instant as of which later ones are seen, and where rows and numbers begin.
-_COUNT, _DEGREES, _ROWS, _PLACE, _LAST, _HEAD = 0, 1, 2, 3, 4, 5
+# Places in the pieces (`flow_rows`): how many, coefficients, rows and flows of each, the last one
+# asked for, the instant as of which later ones are seen, and where the rows' places begin.
+_COUNT, _DEGREES, _ROWS, _GROUPS, _PLACE, _LAST, _HEAD = 0, 1, 2, 3, 4, 5, 6
 
 
 @numba.njit(error_model="numpy")
 def _put(t: float, p: Any, flow: Any) -> None:
-    """The numbers that a flow has at time t into its table, from pieces p."""
-    count, degrees, rows = int(p[_COUNT]), int(p[_DEGREES]), int(p[_ROWS])
-    edges = _HEAD + rows
+    """The numbers that flows have at time t into their table, from pieces p."""
+    count, degrees, rows, groups = int(p[_COUNT]), int(p[_DEGREES]), int(p[_ROWS]), int(p[_GROUPS])
+    lanes = _HEAD + rows
+    edges = lanes + (flow.shape[1] if flow.ndim == 2 else 0)
     origins = edges + count + 1
     i, t = int(p[_PLACE]), min(t, p[_LAST])
     while i > 0 and t < p[edges + i]:
@@ -89,12 +90,23 @@ def _put(t: float, p: Any, flow: Any) -> None:
         i += 1
     p[_PLACE] = i
     x = (t - p[origins + i]) * p[origins + count + i]
-    first = origins + 2 * count + i * degrees * rows
+    first = origins + 2 * count + i * degrees * rows * groups
+    power = rows * groups
     for row in range(rows):
-        value = p[first + (degrees - 1) * rows + row]
-        for k in range(degrees - 2, -1, -1):
-            value = value * x + p[first + k * rows + row]
-        flow[int(p[_HEAD + row])] = value
+        target, last = int(p[_HEAD + row]), first + (degrees - 1) * power + row * groups
+        if flow.ndim == 1:
+            value = p[last]
+            for k in range(1, degrees):
+                value = value * x + p[last - k * power]
+            flow[target] = value
+        else:
+            for lane in range(flow.shape[1]):
+                group = int(p[lanes + lane])
+                if group >= 0:
+                    value = p[last + group]
+                    for k in range(1, degrees):
+                        value = value * x + p[last + group - k * power]
+                    flow[target, lane] = value
 
 
 def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
@@ -222,7 +234,8 @@ class NativeRate:
         if self._known is not edges:
             self._known, coefficients = edges, parts[-1]
             head = [len(coefficients), *coefficients.shape[1:], 0.0, 0.0]
-            given = [head, self._changing.rows, edges, *(part.ravel() for part in parts)]
+            group = [] if self._changing.group is None else self._changing.group
+            given = [head, self._changing.rows, group, edges, *(part.ravel() for part in parts)]
             self._pieces = np.concatenate(given)
             self._constants[_PIECES] = self._pieces.ctypes.data
             self._constants[_SIZE] = len(self._pieces)
