@@ -7,98 +7,9 @@ radius), time tau, force mu c^2/tau, torque mu c^3/tau. Symbols are LaTeX.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-_XYZ = ("1", "2", "3")
-_ANGLES, _ANGLE_SYMBOLS = ("phi", "theta", "psi"), (r"\varphi", r"\theta", r"\psi")
-_PAIRS = ("11", "22", "33", "12", "13", "23")
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """What is known of a quantity before it has a value.
-
-    shape: at one instant, at one point, or of one trajectory. components: what tells them apart in
-    names such as position_1. parts: symbols of the components, where they are not the symbol with
-    the component below. label: what stands at an axis, where it is not the name and the symbol.
-    """
-
-    name: str
-    symbol: str
-    units: str
-    description: str
-    frame: str = ""
-    shape: tuple[int, ...] = ()
-    components: tuple[str, ...] = ()
-    parts: tuple[str, ...] = ()
-    label: str = ""
-
-    @property
-    def size(self) -> int:
-        """How many numbers it is."""
-        return math.prod(self.shape)
-
-    @property
-    def symbols(self) -> tuple[str, ...]:
-        """The symbol of each component."""
-        form = "{}_{}" if all(len(part) == 1 for part in self.components) else "{}_{{{}}}"
-        return self.parts or tuple(form.format(self.symbol, part) for part in self.components)
-
-    @property
-    def heading(self) -> str:
-        """Words and symbol, for the axis of a picture."""
-        return self.label or self._headed(self.symbol)
-
-    def _headed(self, symbol: str) -> str:
-        words = self.name.replace("_", " ")
-        return f"{words} ${symbol}$" if symbol else words
-
-    def columns(self) -> list[Quantity]:
-        """Its components as a quantity each, position_1 and so on; itself where it has none."""
-        about = self.units, self.description, self.frame
-        return [
-            Quantity(f"{self.name}_{part}", symbol, *about, label=self._headed(symbol))
-            for part, symbol in zip(self.components, self.symbols, strict=True)
-        ] or [self]
-
-
-def _table(text: str) -> dict[str, Quantity]:
-    """Quantities by name, one a line: name, symbol, units, description, kind and label.
-
-    A line that begins with a space goes on with the last one.
-    kind: nothing for a number, one of `_KINDS`, or "mean" for a vector of mean values.
-    """
-    found = {}
-    for line in text.replace("\n ", " ").strip().splitlines():
-        cells = [cell.strip() for cell in line.split("|")]
-        name, symbol, units, description, kind, label = cells + [""] * (6 - len(cells))
-        frame, shape, components, parts = _KINDS.get(kind, ("space", (3,), _XYZ, ()))
-        if kind == "mean":
-            parts = tuple(rf"\langle {symbol}_{i}\rangle" for i in _XYZ)
-            symbol = rf"\langle {symbol}\rangle"
-        found[name] = Quantity(
-            name, symbol, units, description, frame, shape, components, parts, label
-        )
-    return found
-
-
-_KINDS: dict[str, tuple[str, tuple[int, ...], tuple[str, ...], tuple[str, ...]]] = {
-    "": ("", (), (), ()),
-    "vector": ("space", (3,), _XYZ, ()),
-    "quaternion": ("body to space", (4,), ("0", *_XYZ), ()),
-    "angles": ("body to space", (3,), _ANGLES, _ANGLE_SYMBOLS),
-    "tensor": ("space", (6,), _PAIRS, tuple(rf"\sigma_{{{pair}}}" for pair in _PAIRS)),
-    "stresses": ("space", (6,), _PAIRS, ()),
-    "matrix": ("body", (6, 6), (), ()),
-    "square": ("space", (3, 3), (), ()),
-    "nine": ("space", (3, 3), tuple(f"{i}{j}" for i in "123" for j in "123"), ()),
-    "axes": ("space", (3,), (), ()),
-    "five": ("", (5,), ("0", "1", "2", "3", "4"), ()),
-    "four": ("", (4,), ("0", "1", "2", "3"), ()),
-    "numbers": ("", (4,), ("0", "1", "2", "1_held"), ("S_0", "S_1", "S_2", "S_1^{held}")),
-    "modes": ("", (3,), ("X", "Y", "Z"), ("X^M", "Y^M", "Z^M")),
-}
+from qbxstokes.quantity import Quantity, table
 
 TIME = Quantity("time", "t", "tau", "instants of the samples")
 INSTANT = Quantity("time", "t", "tau", "instants of the field")
@@ -106,7 +17,7 @@ TRAJECTORY = Quantity("trajectory", "", "1", "number of the trajectory")
 SAMPLE = Quantity("sample", "", "1", "number of the sample")
 
 # Of a motion, at every sample.
-MOTION = _table(r"""
+MOTION = table(r"""
 position         | x      | c          | centre of the body                | vector
 orientation      | q      | 1          | unit quaternion, scalar first     | quaternion
 axis             | D^3    | 1          | symmetry axis D3                  | vector
@@ -120,7 +31,7 @@ orbit_constant | C | 1 | Jeffery's orbit constant in the shear at the start: inf
 
 # Of a motion as well, where it is asked for: what the body adds to the stress of a suspension. The
 # others are per volume fraction, in units of mu times the rate sqrt(2 E:E) at the centre.
-STRESS = _table(r"""
+STRESS = table(r"""
 stresslet           | S        | mu c^3/tau | stresslet, with that of the torque       | stresses
 particle_stress     | \Sigma   | 1 | stress over volume fraction, mu and rate, all parts | stresses
 acceleration_stress | \Sigma^A | 1 | its part from the particle's acceleration           | stresses
@@ -131,18 +42,18 @@ RECORDABLE = MOTION | STRESS
 
 # Of an event, in the order in which they are recorded; half-turns have some more.
 EVENT = {
-    **_table("time | t | tau | instant of the event"),
+    **table("time | t | tau | instant of the event"),
     **{name: MOTION[name] for name in ("position", "axis", "velocity")},
-    **_table("orbit_constant | C | 1 | orbit constant in the shear at the start of the motion"),
+    **table("orbit_constant | C | 1 | orbit constant in the shear at the start of the motion"),
 }
-HALF_TURN = EVENT | _table(r"""
+HALF_TURN = EVENT | table(r"""
 period | T         | tau | time since the last half-turn but one
 drift  | \Delta x  | c   | displacement since the last half-turn but one | vector
 """)
 
 
 # Of an event among bodies that share a fluid.
-MEETING = _table("""
+MEETING = table("""
 time     | t | tau | instant of the event
 body     |   | 1   | number of the body, from 1
 other    |   | 1   | number of the other body; 0: the wall, or none
@@ -160,11 +71,11 @@ def of_event(name: str, coupled: bool = False) -> dict[str, Quantity]:
 
 def of_bodies(quantity: Quantity, count: int) -> Quantity:
     """A quantity of one body as that of several, (body, ...)."""
-    return replace(quantity, shape=(count, *quantity.shape))
+    return replace(quantity, shape=(count, *quantity.shape), several=True)
 
 
 # Of the flow around a body: what may be asked for, what every point has, what its surface has.
-FLUID = _table(r"""
+FLUID = table(r"""
 velocity             | u      | c/tau  | velocity of the fluid                          | vector
 disturbance_velocity | u'     | c/tau  | velocity minus that of the background flow     | vector
 pressure             | p      | mu/tau | pressure, with that of the background flow
@@ -172,18 +83,18 @@ stress               | \sigma | mu/tau | stress tensor                          
 gradient             | \nabla u | 1/tau | velocity gradient, d u_i / d x_j               | nine
 pressure_gradient    | \nabla p | mu/(c tau) | gradient of the pressure                   | vector
 """)
-POINT = _table("""
+POINT = table("""
 points | x | c | points                                                                | vector
 inside |   | 1 | point in the body
 source |   | 1 | 0 plain, 1 graded quadrature, 2 QBX, 3 table; -1 in the body
 """)
-SURFACE = _table("""
+SURFACE = table("""
 traction | f | mu/tau | force of the fluid on the body per area | vector
 normals  | n | 1      | outward unit normals                    | vector
 """)
 
 # Of a whole trajectory: what the table of a sweep says after the swept values.
-SUMMARY = _table(r"""
+SUMMARY = table(r"""
 period          | T          | tau | twice the mean time of a half-turn of the axis
 period_change | \Delta T/T | 1
    | period over the later half of the half-turns minus earlier, relative
@@ -221,7 +132,7 @@ def _columns(quantities: dict[str, Quantity]) -> dict[str, Quantity]:
 COLUMNS = _columns(SUMMARY)
 
 # Of a body without a motion: its law, in a flow what it does there, and what forming it took.
-BODY = _table(r"""
+BODY = table(r"""
 resistance | R | mu c, mu c^3 | force and torque on the body are -R (velocity, angular velocity)
    | matrix
 mobility | M | 1/(mu c), 1/(mu c^3)
@@ -239,29 +150,37 @@ held_torque           | M      | mu c^3/tau | torque on the body held fixed     
 """)
 # Of bodies that share a fluid, or of one by a wall: (body, ...) or all bodies together.
 COUPLED = {
-    **{name: RECORDABLE[name] for name in ("position", "axis", "stresslet")},
-    **{name: BODY[name] for name in BODY if name.startswith(("free_", "held_"))},
-    **_table(r"""
+    **{
+        name: replace(RECORDABLE[name], lead=("body",))
+        for name in ("position", "axis", "stresslet")
+    },
+    **{
+        name: replace(whole, lead=("body",))
+        for name, whole in BODY.items()
+        if name.startswith(("free_", "held_"))
+    },
+    **table(r"""
 resistance | R | mu c, mu c^2, mu c^3 | (force, torque) by the bodies on the fluid are R (velocity,
    angular velocity), body after body, about their centres, in space
-mobility | M | 1/(mu c), ... | the inverse of the resistance
+   ||| resistance_row resistance_column
+mobility | M | 1/(mu c), ... | the inverse of the resistance ||| mobility_row mobility_column
 """),
 }
-_FORMING = _table(r"""
+_FORMING = table(r"""
 setup_time | | s | time to form the body: the median where measured || set-up time
 iterations | | 1 | GMRES iterations of all solves
 error      | | 1 | largest error against closed forms and references
 """)
 # Of a measured trajectory, besides and in the place of the other columns.
 MEASURED = {
-    **_table("wall_time | | s | wall time of the motion, without set-up: the median"),
+    **table("wall_time | | s | wall time of the motion, without set-up: the median"),
     "setup_time": _FORMING["setup_time"],
-    **_table("rejected | | 1 | rejected steps"),
+    **table("rejected | | 1 | rejected steps"),
     "iterations": _FORMING["iterations"],
     "error": _FORMING["error"],
 }
 BODY_COLUMNS = {
-    **_table(r"""
+    **table(r"""
 resistance_translation_transverse | R^{\mathrm{t}}_{1} | mu c
    | resistance to translation, transverse || resistance to translation, transverse
 resistance_translation_axial | R^{\mathrm{t}}_{3} | mu c | resistance to translation, axial
@@ -272,12 +191,12 @@ resistance_rotation_axial | R^{\mathrm{r}}_{3} | mu c^3 | resistance to rotation
    || resistance to rotation, axial
 """),
     **_columns({name: BODY[name] for name in BODY if len(BODY[name].shape) < 2}),
-    **_table("error_estimate | | 1 | estimated error of resistance and free motion, relative"),
+    **table("error_estimate | | 1 | estimated error of resistance and free motion, relative"),
     "error": _FORMING["error"],
     "iterations": _FORMING["iterations"],
-    **_table("true_residual | | 1 | largest true residual of the solves, relative"),
+    **table("true_residual | | 1 | largest true residual of the solves, relative"),
     "setup_time": _FORMING["setup_time"],
-    **_table(r"""
+    **table(r"""
 n_theta         | n_\vartheta | 1 | nodes along a meridian  | | $n_\vartheta$
 n_phi           | n_\phi      | 1 | nodes around the axis   | | $n_\phi$
 expansion_order | p           | 1 | order of the expansions
@@ -286,7 +205,7 @@ nodes           |             | 1 | nodes on the surface
 }
 
 # Of a suspension: at each Peclet number and each instant, in units of mu times the rate.
-RHEOLOGY = _table(r"""
+RHEOLOGY = table(r"""
 peclet_number | \mathrm{Pe} | 1 | rate of the flow over rotary diffusivity, infinite without it
    || Peclet number $\mathrm{Pe}$
 intrinsic_viscosity | [\eta] | 1 | particle stress along E over volume fraction and rate
@@ -299,15 +218,18 @@ brownian_stress | \Sigma^B | 1 | its part from rotary Brownian motion | square
 inertial_stress | \Sigma^I | 1 | its part from the particles' own inertia | square
 order_tensor | \langle pp\rangle | 1 | mean of the products of the axis' components | square
 error_estimate | | 1 | estimated relative error of the stress
-theta | \vartheta | rad | angle from e3 of the distribution's axes
-phi | \varphi | rad | angle from e1 about e3 of the distribution's axes
+theta | \vartheta | rad | angle from e3 of the distribution's axes ||| theta
+phi | \varphi | rad | angle from e1 about e3 of the distribution's axes ||| phi
 distribution | \psi | 1 | density of axes on the unit sphere, by theta and phi, of integral 1
-strain | \gamma | 1 | strain of an oscillation
-strain_rate | \dot\gamma | 1 | rate of an oscillation over its amplitude
+   ||| peclet_number theta phi
+strain | \gamma | 1 | strain of an oscillation ||| time
+strain_rate | \dot\gamma | 1 | rate of an oscillation over its amplitude ||| time
 """)
-RHEOLOGY |= _table(r"""
+RHEOLOGY |= table(r"""
 samples | p | 1 | axes drawn from each density, for each Peclet number | axes
+   || peclet_number sample
 paths | p | 1 | axes of single Brownian trajectories that were kept | axes
+   || peclet_number time path
 mean_square_displacement | \langle\Delta x\Delta x\rangle | c^2
    | of places since the start, by the flow and by diffusion | square
 """)
@@ -319,9 +241,11 @@ RHEOLOGY |= {
     for name, whole in RHEOLOGY.items()
     if name.endswith(("viscosity", "difference", "stress", "tensor", "displacement"))
 }
+_BY_NUMBER = ("peclet_number", "time")
+RHEOLOGY = {n: replace(whole, lead=whole.lead or _BY_NUMBER) for n, whole in RHEOLOGY.items()}
 
 # Of an ensemble, for B bodies: what is looked at, of which the datasets hold statistics.
-LOOKED_AT = _table(r"""
+LOOKED_AT = table(r"""
 tumbling     | \dot p^2 | 1/tau^2 | squared rate at which the axis turns
 spinning     | (\Omega\cdot p)^2 | 1/tau^2 | squared rate of rotation about the axis
 cos_vorticity | \cos(p,\omega) | 1 | cosine, without sign, of the angle of axis and vorticity
@@ -329,21 +253,22 @@ cos_strain_1 | \cos(p,e_1) | 1 | cosine, without sign, of the angle to the most 
 cos_strain_2 | \cos(p,e_2) | 1 | cosine, without sign, of the angle to the second axis of strain
 cos_strain_3 | \cos(p,e_3) | 1 | cosine, without sign, of the angle to the most compressing axis
 """)
-ENSEMBLE = _table(r"""
-time | t | tau | instants at which paths are looked at
-lag | \tau | tau | lags of the correlation
+ENSEMBLE = table(r"""
+time | t | tau | instants at which paths are looked at ||| time
+lag | \tau | tau | lags of the correlation ||| lag
 correlation | \langle p(0)\cdot p(\tau)\rangle | 1 | correlation of the axis, by lag and body
-axis | p | 1 | axes of the first paths, by path, instant and body | vector
+   ||| lag body
+axis | p | 1 | axes of the first paths, by path, instant and body | vector || path sample body
 """)
 _STATISTICS = {
-    "moments": "means of powers 1 to 4, by body",
-    "moments_error": "standard errors of these means over paths, by body",
-    "over_strain": "mean over <E:E> = epsilon/(2 nu), by body",
-    "over_strain_error": "standard error of that ratio, by body",
-    "edges": "edges of bins",
-    "counts": "numbers below, in and beyond the bins, by body",
-    "in_time": "means over paths, by instant and body",
-    "spread_in_time": "standard deviations over paths, by instant and body",
+    "moments": ("means of powers 1 to 4, by body", "body power"),
+    "moments_error": ("standard errors of these means over paths, by body", "body power"),
+    "over_strain": ("mean over <E:E> = epsilon/(2 nu), by body", "body"),
+    "over_strain_error": ("standard error of that ratio, by body", "body"),
+    "edges": ("edges of bins", "edge"),
+    "counts": ("numbers below, in and beyond the bins, by body", "body bin"),
+    "in_time": ("means over paths, by instant and body", "time body"),
+    "spread_in_time": ("standard deviations over paths, by instant and body", "time body"),
 }
 
 
@@ -352,19 +277,23 @@ def of_ensemble(name: str) -> Quantity:
     for looked in LOOKED_AT.values():
         part = name.removeprefix(f"{looked.name}_")
         if part != name and part in _STATISTICS:
-            told = f"{looked.description}: {_STATISTICS[part]}"
-            return Quantity(name, looked.symbol, looked.units, told)
+            of_it, lead = _STATISTICS[part]
+            told = f"{looked.description}: {of_it}"
+            return Quantity(name, looked.symbol, looked.units, told, lead=tuple(lead.split()))
     if (known := RHEOLOGY.get(name)) is not None:
         stress = name.removesuffix("_standard_error").endswith("stress")
         told = known.description.replace(", mu and rate", " and mu")
+        known = replace(known, lead=("body",))
         return replace(known, units="1/tau", description=told) if stress else known
-    return ENSEMBLE.get(name) or PARAMETER.get(name) or Quantity(name, "", "", f"swept {name}")
+    swept = PARAMETER.get(name) or Quantity(name, "", "", f"swept {name}")
+    return ENSEMBLE.get(name) or replace(swept, lead=("body",))
 
 
-STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", "instants, by the rate of the flow")
+_TOLD = "instants, by the rate of the flow"
+STRAIN_TIME = Quantity("time", r"\dot\gamma t", "1/rate", _TOLD, lead=("time",))
 
 # Of a scene of several bodies or a wall, in the table of a sweep.
-COUPLED_COLUMNS = _table(r"""
+COUPLED_COLUMNS = table(r"""
 gap             | g | c   | least gap of the scene, in a motion at its samples
 end             | t | tau | last instant || last instant $t$
 steps           |   | 1   | steps of the integrator
@@ -374,13 +303,13 @@ error_estimate  |   | 1   | estimated error of the velocities, or of the resista
 wall_time       |   | s   | wall time
 """)
 
-STATUS = _table("""
+STATUS = table("""
 status | | | 0 missing, 1 done, 2 failed
 reason | | | why it failed, or ended before the last instant
 """)
 
 # Of a case: keys that have a symbol, by their names in the table of a sweep.
-PARAMETER = _table(r"""
+PARAMETER = table(r"""
 aspect_ratio      | k            | 1   | k = a/c, equatorial over polar radius
 stokes_number | \mathrm{St} | 1 | St, particle inertia over viscous force
    || Stokes number $\mathrm{St}$

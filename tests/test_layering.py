@@ -34,7 +34,7 @@ LEVELS = (
 )
 LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
 MATHEMATICS = [name for names in LEVELS[:4] for name in sorted(names)]
-SHARED = ("errors", "folders", "tables", "expressions", "typing", "__version__")
+SHARED = ("errors", "folders", "tables", "expressions", "typing", "quantity", "__version__")
 
 # Libraries that only some packages may import, wherever in the file the import stands.
 HOMES = {

@@ -18,7 +18,7 @@ from qbxstokes.case.load import case_of
 from qbxstokes.case.units import UNITS_OF
 from qbxstokes.cli.pages import PAGES
 from qbxstokes.errors import CaseError, MissingPackageError, ResultFileError
-from qbxstokes.quantities import Quantity
+from qbxstokes.quantity import Quantity
 from qbxstokes.units import Scales, has_unit
 
 pint = pytest.importorskip("pint")

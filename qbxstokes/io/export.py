@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qbxstokes.errors import CaseError, needed
-from qbxstokes.io import axes as names
 from qbxstokes.io.listing import KNOWN
 from qbxstokes.quantities import FLUID, POINT, SURFACE
 from qbxstokes.typing import AnyArray
@@ -26,17 +25,18 @@ if TYPE_CHECKING:
 
 
 _TOLD = ("units", "description")
+_LEADING = ("peclet_number", "time", "lag")  # axes of which a table has its rows, as far as there
 
 
 def dimensions(result: Result, name: str) -> tuple[str, ...]:
     """Names of a dataset's axes: time, trajectory, ..., and component of a vector's."""
-    return names.dimensions(result.task, result.shapes, result.attributes, name)
+    return tuple(result.attributes[name]["axes"])
 
 
 def _labels(result: Result, name: str, axis: str, size: int) -> Sequence[Any]:
     """What tells the entries of one axis of a dataset apart."""
     components = result.attributes.get(name, {}).get("components")
-    if components is not None and axis == names.component_axis(name, components):
+    if components is not None and axis == dimensions(result, name)[-1]:
         return list(components)
     prefix = "body" if axis == "body" else ""
     return [f"{prefix}{number + 1}" for number in range(size)]
@@ -50,7 +50,7 @@ def columns(result: Result) -> tuple[list[str], dict[str, AnyArray]]:
     """
     if "table" in result.shapes:
         return ["trajectory"], {"trajectory": np.arange(len(result.table)), **table_of(result)}
-    leading = [axis for axis in names.LEADING.get(result.task, ()) if axis in result.shapes]
+    leading = [axis for axis in _LEADING if axis in result.shapes]
     sizes = [result.shapes[axis][-1] for axis in leading]
     found: dict[str, AnyArray] = {}
     for number, axis in enumerate(leading):
@@ -107,7 +107,7 @@ def to_xarray(result: Result) -> xarray.Dataset:
         if name == "table" or name in coordinates:
             continue
         axes = dimensions(result, name)
-        told = {k: v for k, v in result.attributes[name].items() if k not in ("components",)}
+        told = {k: v for k, v in result.attributes[name].items() if k not in ("components", "axes")}
         is_axis = axes == (name,) or name == "time"
         (coordinates if is_axis else variables)[name] = (axes, result[name], told)
         if "components" in result.attributes[name]:

@@ -15,7 +15,7 @@ from qbxstokes.errors import HeldFileError
 if TYPE_CHECKING:
     import h5py
 
-    from qbxstokes.quantities import Quantity
+    from qbxstokes.quantity import Quantity
 
 FORMAT = "qbxstokes"
 FORMAT_VERSION = 1

@@ -225,7 +225,9 @@ class SweepResult(Result):
         swept = {name: summary.pop(name) for name in self.coordinates}
         header = {"task": "motion", "format_version": self.format_version}
         groups = {"provenance": {**self.provenance, "swept": swept}, "summary": summary}
-        attributes = {name: (self.original or self).attributes[name] for name in arrays}
+        attributes = {name: dict((self.original or self).attributes[name]) for name in arrays}
+        for about in attributes.values():
+            about["axes"] = tuple(axis for axis in about["axes"] if axis != "trajectory")
         found = Result(self.path, header, arrays, attributes, groups)
         return found.in_units() if self.original else found
 
@@ -328,4 +330,7 @@ def _told(item: h5py.Dataset) -> dict[str, Any]:
         found["coordinates"] = swept.split()
     elif len(swept):
         found["coordinates"] = [str(name) for name in swept]
+    own, axes = item.name.rpartition("/")[2], enumerate(item.dims)
+    names = [axis[0].name.rpartition("/")[2] if len(axis) else f"{own}_{n}" for n, axis in axes]
+    found["axes"] = (own,) if item.is_scale else tuple(names)
     return found

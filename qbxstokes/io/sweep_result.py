@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,7 +27,8 @@ from qbxstokes.errors import OutputError, ResultFileError
 from qbxstokes.io.format import PARTS, describe, placed_dataset
 from qbxstokes.io.store import Work, check_disk, unwritable
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, Quantity, of_bodies
+from qbxstokes.quantities import RECORDABLE, SAMPLE, TIME, TRAJECTORY, of_bodies
+from qbxstokes.quantity import Quantity
 from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class SweepWriter(ResultWriter):
         super().__init__(work.target, "sweep", provenance, True, work.folder)
         made: Any = placed_dataset if shown is None else partial(_virtual_dataset, shown)
         with self._writing():
-            _lay_out(self.file, layout, made)
+            self.axes = _lay_out(self.file, layout, made)
         if shown is not None:
             group = self.file.create_group(PARTS)
             names = [_relative(part.path) for part in shown]
@@ -197,8 +198,12 @@ def _slices(stretches: list[AnyArray]) -> Iterator[slice]:
         yield slice(int(numbers[0]), int(numbers[-1]) + 1, step)
 
 
-def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Dataset]) -> None:
-    """All datasets; the numbers come later. rows_of: makes those with rows."""
+def _lay_out(
+    file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Dataset]
+) -> dict[str, tuple[str, ...]]:
+    """All datasets, whose numbers come later; their axes. rows_of: makes those with rows."""
+    rows = ("table", "trajectory", *layout.coordinates)
+    axes: dict[str, tuple[str, ...]] = dict.fromkeys(rows, ("trajectory",))
     table = rows_of(file, "table", (layout.size,), layout.dtype)
     table.attrs["description"] = "one row per trajectory"
     for name in layout.dtype.names or ():
@@ -211,15 +216,21 @@ def _lay_out(file: h5py.File, layout: Layout, rows_of: Callable[..., h5py.Datase
     for name in layout.coordinates:
         placed_dataset(file, name, (layout.size,), layout.dtype[name], layout.descriptions[name])
     if not layout.quantities:
-        return
+        return axes
+    lead = ("trajectory", "time" if layout.times is not None else "sample")
+    axes |= {"time": lead if layout.times is None else lead[1:]}
     if layout.times is None:
+        axes["sample"] = lead[1:]
         rows_of(file, "time", (layout.size, layout.samples), "f8", TIME)
         placed_dataset(file, "sample", (layout.samples,), "i8", SAMPLE)
     else:
         placed_dataset(file, "time", (layout.samples,), "f8", TIME)
     for name in layout.quantities:
         about = layout.about(name)
-        rows_of(file, name, (layout.size, layout.samples, *about.shape), "f8", about)
+        shape = (layout.size, layout.samples, *about.shape)
+        axes[name] = replace(about, lead=lead).axes(len(shape))
+        rows_of(file, name, shape, "f8", about)
+    return axes
 
 
 @contextmanager

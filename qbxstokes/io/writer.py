@@ -11,6 +11,7 @@ import io
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -21,7 +22,8 @@ from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.axes import name_axes
 from qbxstokes.io.format import CONVENTIONS, FORMAT, FORMAT_VERSION, describe, write_tree
 from qbxstokes.io.names import check_writable, numbered, temporary_name
-from qbxstokes.quantities import RECORDABLE, TIME, Quantity
+from qbxstokes.quantities import RECORDABLE, TIME
+from qbxstokes.quantity import Quantity
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -112,6 +114,7 @@ class ResultWriter:
         check_writable(path, overwrite)
         self.path = path
         self.overwrite = overwrite
+        self.axes: dict[str, tuple[str, ...]] = {}
         self.temporary = temporary_name(path, folder)
         try:
             self.stream = _PatientFile(self.temporary, "w+")
@@ -131,15 +134,9 @@ class ResultWriter:
         Raises OutputError if they cannot be stored.
         """
         with self._writing():
-            times = np.asarray(samples["time"], dtype=float)
-            scale = self._extended("time", times, TIME)
-            if "CLASS" not in scale.attrs:
-                scale.make_scale("time")
             for name, values in samples.items():
-                if name != "time":
-                    data = self._extended(name, np.asarray(values, dtype=float), about[name])
-                    if not len(data.dims[0]):
-                        data.dims[0].attach_scale(scale)
+                known = TIME if name == "time" else about[name]
+                self._extended(name, np.asarray(values, dtype=float), known)
 
     def put(self, arrays: Mapping[str, ArrayLike], about: Mapping[str, Quantity]) -> None:
         """Write whole arrays, each once, as datasets at the root; raises OutputError."""
@@ -147,6 +144,7 @@ class ResultWriter:
             for name, values in arrays.items():
                 data = self.file.create_dataset(name, data=values, track_times=False)
                 describe(data, about[name])
+                self.axes[name] = about[name].axes(data.ndim)
 
     def append_events(
         self, name: str, rows: Mapping[str, ArrayLike], about: Mapping[str, Quantity]
@@ -187,6 +185,7 @@ class ResultWriter:
                 track_times=False,
             )
             describe(data, about)
+            self.axes[name] = replace(about, lead=("time",)).axes(data.ndim)
             return data
         data = self.file[name]
         held = len(data)
@@ -209,7 +208,7 @@ class ResultWriter:
         """
         with self._writing():
             write_tree(self.file.require_group("summary"), summary or {})
-            name_axes(self.file)
+            name_axes(self.file, self.axes)
         with self._writing():
             self.file.close()
             os.fsync(self.stream.fileno())

@@ -28,7 +28,8 @@ from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
 from qbxstokes.plots.scales import SCALES, colours_of, edges, is_log, power, set_scales, shades
 from qbxstokes.plots.style import Axes, Figure
-from qbxstokes.quantities import Quantity, column
+from qbxstokes.quantities import column
+from qbxstokes.quantity import Quantity
 
 Array = NDArray[Any]
 Rows = NDArray[np.intp]

@@ -18,7 +18,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
-from qbxstokes.quantities import COLUMNS, RECORDABLE, Quantity
+from qbxstokes.quantities import COLUMNS, RECORDABLE
+from qbxstokes.quantity import Quantity
 from qbxstokes.runs.gathering import Keeper
 from qbxstokes.runs.sweep_blocks import STOKES, Scenes
 from qbxstokes.simulation.assembly import assemble

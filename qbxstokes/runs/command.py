@@ -20,7 +20,7 @@ from qbxstokes.runs.progress import Clock
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase
-    from qbxstokes.quantities import Quantity
+    from qbxstokes.quantity import Quantity
 
 
 @dataclass

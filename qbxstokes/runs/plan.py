@@ -12,7 +12,8 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.errors import ContactError
-from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, Quantity, of_bodies, of_event
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_bodies, of_event
+from qbxstokes.quantity import Quantity
 from qbxstokes.runs.field_targets import Targets, targets_of
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_of, times_of

@@ -25,7 +25,8 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import Column
 from qbxstokes.case.values import Key
 from qbxstokes.geometry.registry import SHAPE_KEYS
-from qbxstokes.quantities import COLUMNS, MEASURED, Quantity
+from qbxstokes.quantities import COLUMNS, MEASURED
+from qbxstokes.quantity import Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
 from qbxstokes.simulation.from_case import samples_of
 from qbxstokes.typing import Array, Integers

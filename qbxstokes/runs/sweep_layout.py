@@ -12,7 +12,8 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.sweep import column_name
 from qbxstokes.case.values import Key
 from qbxstokes.io.sweep_result import REASON_LENGTH, Layout
-from qbxstokes.quantities import BODY_COLUMNS, COUPLED_COLUMNS, PARAMETER, STATUS, Quantity
+from qbxstokes.quantities import BODY_COLUMNS, COUPLED_COLUMNS, PARAMETER, STATUS
+from qbxstokes.quantity import Quantity
 from qbxstokes.runs.plan import CoupledPlan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_blocks import Alone, Scenes
 from qbxstokes.typing import AnyArray

@@ -13,7 +13,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Event, Events, Passage, leaving, steady, turning_point
-from qbxstokes.quantities import Quantity
+from qbxstokes.quantity import Quantity
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Simulation
