@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from qbxstokes.case.model import Direction, Positive, Reader, Section, Vector, key, several
 from qbxstokes.case.scene import WITH_FLOW, Body, Forces, Start
-from qbxstokes.case.values import Problem, at, describe, meant
+from qbxstokes.case.values import Key, Problem, at, describe, meant, refuse
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.tables import TableError, read_datasets, read_table
 
@@ -143,17 +143,18 @@ def _datasets(path: Path) -> dict[str, list[float]]:
 
 
 # Keys that have no meaning where bodies share a fluid or feel a wall.
-_FOREIGN = {
-    "constraints": "leave it out: all bodies are free",
-    "rheology": "leave it out, or use one body in an unbounded fluid",
-}
-_FIELD = {
-    "shells": "leave it out: they are those of one body",
-    "streamlines": "leave it out: pictures of a plane draw them",
-    "tracers": "leave it out",
-    "method": "leave it out: harmonics of all bodies",
-    **dict.fromkeys(("force", "torque"), "give it in the section forces"),
-    **dict.fromkeys(("velocity", "angular_velocity"), "leave it out: free or held"),
+_ALONE = "with a wall or several bodies"
+_FOREIGN: dict[Key, str] = {
+    ("time", "periods"): "give time.end: bodies that feel each other or a wall have no period",
+    ("constraints",): "leave it out: all bodies are free",
+    ("rheology",): "leave it out, or use one body in an unbounded fluid",
+    ("field", "streamlines"): "leave it out: pictures of a plane draw them",
+    ("field", "tracers"): "leave it out",
+    ("field", "method"): "leave it out: harmonics of all bodies",
+    ("field", "force"): "give it in the section forces",
+    ("field", "torque"): "give it in the section forces",
+    ("field", "velocity"): "leave it out: free or held",
+    ("field", "angular_velocity"): "leave it out: free or held",
 }
 _TOLERANT = {
     "hydrodynamics": ("tolerance", "solve", "cache"),
@@ -170,7 +171,7 @@ def coupled(data: dict[str, Any]) -> bool:
 
 def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
     """The data of a coupled scene with its own defaults; raises Problem for what it cannot have."""
-    data = dict(data)
+    data, filled = dict(data), {name: value for name, value in data.items() if value != {}}
     around = data.get("surroundings")
     walled = isinstance(around, dict) and around.get("type") == "wall"
     many = not walled or (isinstance(data.get("bodies"), (list, tuple)) and len(data["bodies"]) > 1)
@@ -178,22 +179,14 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
         bodies = data["bodies"] if isinstance(data["bodies"], list) else []
         if task != "motion" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
             raise Problem("hold a stokes_number", "none: nothing moves", ("bodies",))
-        for name in ("body", "start"):
-            if data.get(name):
-                raise Problem("has no meaning beside bodies", "give it in bodies", (name,))
-    time = data.get("time")
-    if isinstance(time, dict) and time.get("periods") is not None:
-        right = "give time.end: bodies that feel each other or a wall have no period"
-        raise Problem("has no meaning with a wall or several bodies", right, ("time", "periods"))
-    for name, right in _FOREIGN.items():
-        if data.get(name):
-            raise Problem("has no meaning with a wall or several bodies", right, (name,))
+        refuse(filled, dict.fromkeys((("body",), ("start",)), "give it in bodies"), "beside bodies")
+        refuse(filled, {("field", "shells"): "leave it out: they are those of one body"}, _ALONE)
+    refuse(filled, _FOREIGN, _ALONE)
     for section, known in _TOLERANT.items():
         given = data.get(section)
         for name in given if isinstance(given, dict) else ():
             if name not in known:
-                wrong, right = "has no meaning with a wall or several bodies", "leave it out"
-                raise Problem(wrong, right, (section, name))
+                raise Problem(f"has no meaning {_ALONE}", "leave it out", (section, name))
     given = data.get("hydrodynamics")
     if given is None or (isinstance(given, dict) and "solve" not in given):
         data["hydrodynamics"] = {**(given or {}), "solve": "every_step"}
@@ -215,12 +208,9 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
 
 def _field(given: dict[str, Any], listed: bool) -> dict[str, Any]:
     """Section `field` of bodies that share a fluid, whose points are in space where listed."""
-    wrong = "has no meaning with a wall or several bodies"
-    for name, right in _FIELD.items():
-        if given.get(name) is not None and (name != "shells" or listed):
-            raise Problem(wrong, right, ("field", name))
     if given.get("body") == "moving":
-        raise Problem(wrong, "free, with the section forces, or held", ("field", "body"))
+        right = "free, with the section forces, or held"
+        raise Problem(f"has no meaning {_ALONE}", right, ("field", "body"))
     found = dict(given)
     for name in ("plane", "box", "points") if listed else ():
         points = {} if name in given and given[name] is None else given.get(name)

@@ -95,11 +95,10 @@ def _check_brownian(document: Document) -> None:
             "[start.orientation: [[1, 0, 0]]]"
         )
         raise document.error("brownian", "has no meaning for a single motion", right)
-    for name in ("bodies", "surroundings", "field"):
-        if document.data.get(name) is not None:
+    given = {**document.data, "sweep.measure": sweep.get("measure") or None}
+    for name in ("bodies", "surroundings", "field", "sweep.measure"):
+        if given.get(name) is not None:
             raise document.error("brownian", f"has no meaning with {name}", "leave one of them out")
-    if sweep.get("measure"):
-        raise document.error("brownian", "has no meaning with sweep.measure", "leave one out")
 
 
 def from_document(document: Document, path: Path, space: SweepSpace | None = None) -> LoadedCase:

@@ -26,7 +26,7 @@ from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection
 from qbxstokes.case.statistics import Statistics
 from qbxstokes.case.sweep import Sweep
 from qbxstokes.case.units import Units, nondimensional
-from qbxstokes.case.values import Problem, describe
+from qbxstokes.case.values import Problem, describe, refuse
 from qbxstokes.solver_options import foreign_to_a_case, misleading
 
 # Keys that have no meaning for a task: "what would be right": their names. They are refused where
@@ -179,14 +179,9 @@ class Case(Section, **_MOVED, **_WITHIN):
         if not isinstance(task, str) or task not in FOREIGN:
             return data
         together = coupled(data)
-        for path, right in FOREIGN[task].items():
-            if together and path == ("forces",):
-                continue
-            holder: Any = data
-            for part in path[:-1]:
-                holder = holder.get(part) if isinstance(holder, dict) else None
-            if isinstance(holder, dict) and holder.get(path[-1]) is not None:
-                raise Problem(f"has no meaning for task: {task}", right, path)
+        loaded = {("forces",)} if together else set()
+        foreign = {path: right for path, right in FOREIGN[task].items() if path not in loaded}
+        refuse(data, foreign, f"for task: {task}")
         if together:
             data = prepared(data, task)
         if task == "rheology":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -60,6 +60,19 @@ def gathered(read: Callable[[Any], T], names: Iterable[str | int]) -> list[T]:
         faults[0].faults = faults
         raise faults[0]
     return values
+
+
+def refuse(data: Any, keys: Mapping[Any, str], where: str) -> None:
+    """Raise Problem where plain data give one of the keys, which have no meaning there.
+
+    keys: with what would be right in the place of each.
+    """
+    for path, right in keys.items():
+        held = data
+        for part in path:
+            held = held.get(part) if isinstance(held, dict) else None
+        if held is not None:
+            raise Problem(f"has no meaning {where}", right, path)
 
 
 def describe(value: Any) -> str:

@@ -111,7 +111,7 @@ def weights(scenes: Scenes, most: int = 200) -> Array:
     values = []
     for number in known.tolist():
         try:
-            scene, members = scenes.scene(number), scenes.first_members(number)
+            scene, members = scenes.scene(number), scenes.members(number)
             given = scenes.space.values(members).get(STOKES, scene.loaded.case.body.stokes_number)
             plan = scene.plan
             values.append(forecast(plan.simulation, plan.times, float(np.min(given))))
@@ -289,5 +289,5 @@ def estimate(scenes: Swept, row_bytes: int) -> Estimate:
         handout=scenes.blocks * HANDOUT,
         last_block=float(per_block.max()),
         layout=n * LAYOUT,
-        memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 24.0 * scenes.blocks,
+        memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 48.0 * scenes.blocks,
     )

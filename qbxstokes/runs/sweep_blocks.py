@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.document import assigned
 from qbxstokes.case.load import LoadedCase
@@ -137,12 +136,7 @@ class Scenes:
     @property
     def blocks(self) -> int:
         """Number of blocks."""
-        count = int(self._first_block[-1]) + len(self._gathered)
-        if count > MOST_BLOCKS:
-            wrong = f"has {self.space.size:g} trajectories in {count:g} blocks"
-            right = f"at most {MOST_BLOCKS:g} blocks: several sweeps"
-            raise self.loaded.error("sweep", wrong, right)
-        return count
+        return int(self._pieces[0][-1]) + 1
 
     @cached_property
     def sizes(self) -> Integers:
@@ -153,68 +147,64 @@ class Scenes:
         return sizes.ravel()
 
     @cached_property
-    def _first_block(self) -> Integers:
-        """First block of each scene that fills blocks of its own, and the end of all those."""
-        own = np.where(self._alone, -(-self.sizes // self.block_size), 0)
-        return np.concatenate([[0], np.cumsum(own)])
+    def _pieces(self) -> tuple[Integers, Integers, Integers]:
+        """Of every piece its block, its scene, and where in the scene it begins; block by block.
 
-    @cached_property
-    def _alone(self) -> NDArray[np.bool_]:
-        """Whether a scene has blocks of its own."""
-        return (self._companies < 0) | (self.sizes >= self.block_size)
-
-    @cached_property
-    def _gathered(self) -> list[list[int]]:
-        """Scenes of the blocks that hold several, gathered in their order."""
-        blocks: list[list[int]] = []
+        Scenes that fill blocks are cut into pieces that are one each; of the others several share
+        one, gathered in their order.
+        """
+        whole = (self._companies < 0) | (self.sizes >= self.block_size)
+        counts = np.where(whole, -(-self.sizes // self.block_size), 0)
+        if (count := int(counts.sum())) > MOST_BLOCKS:
+            wrong = f"has {self.space.size:g} trajectories in {count:g} blocks"
+            right = f"at most {MOST_BLOCKS:g} blocks: several sweeps"
+            raise self.loaded.error("sweep", wrong, right)
+        cut, small = np.repeat(np.arange(self.size), counts), np.flatnonzero(~whole)
+        begins = np.arange(count) - np.repeat(np.cumsum(counts) - counts, counts)
+        shared: list[int] = []
         latest: dict[int, tuple[int, int]] = {}  # company -> its open block, and what is in it
-        for scene in np.flatnonzero(~self._alone).tolist():
+        for scene in small.tolist():
             company, size = int(self._companies[scene]), int(self.sizes[scene])
-            place, held = latest.get(company, (-1, self.block_size))
+            block, held = latest.get(company, (-1, self.block_size))
             if held + size > self.block_size:
-                place, held = len(blocks), 0
-                blocks.append([])
-            blocks[place].append(scene)
-            latest[company] = place, held + size
-        return blocks
+                block, held, count = count, 0, count + 1
+            shared.append(block)
+            latest[company] = block, held + size
+        order = np.argsort(shared, kind="stable")
+        return (
+            np.concatenate([np.arange(len(cut)), np.array(shared, dtype=np.int64)[order]]),
+            np.concatenate([cut, small[order]]),
+            np.concatenate([begins * self.block_size, np.zeros(len(small), dtype=np.int64)]),
+        )
+
+    def _pieces_of(self, number: int) -> slice:
+        return slice(*np.searchsorted(self._pieces[0], [number, number + 1]))
 
     def block(self, number: int) -> Block:
         """A block by its number, the trajectories of each piece in increasing order."""
-        scenes = self.scenes_of(number)
-        if number >= self._first_block[-1]:
-            pieces = [(s, self._members(s, 0, int(self.sizes[s]))) for s in scenes]
-            return Block(number, tuple(pieces))
-        (scene,) = scenes
-        start = (number - int(self._first_block[scene])) * self.block_size
-        stop = min(start + self.block_size, int(self.sizes[scene]))
-        return Block(number, ((scene, self._members(scene, start, stop)),))
+        _, scenes, begins = (held[self._pieces_of(number)].tolist() for held in self._pieces)
+        pieces = zip(scenes, begins, strict=True)
+        return Block(number, tuple((scene, self.members(scene, begin)) for scene, begin in pieces))
 
     def block_sizes(self) -> Integers:
         """Trajectories per block."""
-        counts = np.diff(self._first_block)
-        own = np.full(int(self._first_block[-1]), self.block_size, dtype=np.int64)
-        some = counts > 0
-        last = self.sizes - (counts - 1) * self.block_size
-        own[self._first_block[1:][some] - 1] = last[some]
-        gathered = [int(self.sizes[scenes].sum()) for scenes in self._gathered]
-        return np.concatenate([own, np.array(gathered, dtype=np.int64)])
+        blocks, scenes, begins = self._pieces
+        held = np.minimum(self.sizes[scenes] - begins, self.block_size)
+        return np.bincount(blocks, held).astype(np.int64)
 
     def scene_of_block(self) -> Integers:
         """First scene of every block."""
-        own = np.repeat(np.arange(self.size), np.diff(self._first_block))
-        first = np.array([scenes[0] for scenes in self._gathered], dtype=np.int64)
-        return np.concatenate([own, first])
+        blocks, scenes, _ = self._pieces
+        return np.asarray(scenes[np.unique(blocks, return_index=True)[1]])
 
     def scenes_of(self, number: int) -> list[int]:
         """Scenes that a block holds trajectories of."""
-        if (gathered := number - int(self._first_block[-1])) >= 0:
-            return self._gathered[gathered]
-        return [int(np.searchsorted(self._first_block, number, side="right")) - 1]
+        return [int(scene) for scene in self._pieces[1][self._pieces_of(number)]]
 
-    def _members(self, scene: int, start: int, stop: int) -> Integers:
-        """Numbers of the trajectories [start, stop) of a scene."""
-        chosen = self._chosen(scene)
-        local = np.unravel_index(np.arange(start, stop), tuple(len(points) for points in chosen))
+    def members(self, scene: int, begin: int = 0) -> Integers:
+        """Numbers of the trajectories of a scene from its `begin`-th on, those of one block."""
+        chosen, end = self._chosen(scene), min(begin + self.block_size, int(self.sizes[scene]))
+        local = np.unravel_index(np.arange(begin, end), tuple(len(points) for points in chosen))
         points = tuple(
             where if isinstance(list_of, range) else list_of[where]
             for list_of, where in zip(chosen, local, strict=True)
@@ -225,10 +215,6 @@ class Scenes:
         """Points of every axis that a scene is of."""
         places = np.unravel_index(scene, self.shape)
         return [classes[place] for classes, place in zip(self._classes, places, strict=True)]
-
-    def first_members(self, scene: int) -> Integers:
-        """Numbers of the trajectories of a scene's first block."""
-        return self._members(scene, 0, min(self.block_size, int(self.sizes[scene])))
 
     def scene(self, number: int) -> Scene:
         """A scene by its number; raises QbxStokesError where the case cannot be computed."""
