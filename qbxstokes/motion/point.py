@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qbxstokes.geometry import rotation
 from qbxstokes.motion.frames import quaternion_rate_space
 from qbxstokes.motion.kernels import KERNELS
-from qbxstokes.motion.taylor import pack_second
+from qbxstokes.motion.taylor import ROWS, pack_second
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
@@ -20,6 +22,8 @@ Array = NDArray[np.float64]
 
 # Calls from one look at what is neglected to the next.
 _EVERY = 50
+# Bodies of a block that the compiled loop serves.
+_FEW = 64
 
 
 class PointMotion:
@@ -32,7 +36,9 @@ class PointMotion:
 
     def __init__(self, model: BodyModel, flow: Flow, degree: int, whole: FreeMotion) -> None:
         self._kernels = KERNELS[model.faxen.symmetry]
-        self._law, _, _ = self._kernels.unpack_body(self._kernels.pack_body(model, False))
+        numbers = self._kernels.pack_body(model, False)
+        self._law, _, _ = self._kernels.unpack_body(numbers)
+        self._body = np.array(numbers[: self._kernels.ROWS[degree]], dtype=np.float64)
         self._flow, self._degree, self._whole = flow, degree, whole
         self._calls = 0
         self.neglected = 0.0, 0.0
@@ -64,9 +70,27 @@ class PointMotion:
 
     def rates(self, t: float, y: Array, out: Array) -> None:
         """dy/dt of massless bodies on which nothing else acts, (7, n)."""
-        q = y[3:7] / np.linalg.norm(y[3:7], axis=0)
-        u, omega = self.free_motion(t, np.ascontiguousarray(y[:3].T), q.T)
-        out[:3] = u.T
-        rate: Any = quaternion_rate_space(y[3:7], omega.T)
-        for row, value in zip(out[3:], rate, strict=True):
-            row[:] = value
+        x, q = np.ascontiguousarray(y[:3].T), y[3:7] / np.linalg.norm(y[3:7], axis=0)
+        if y.shape[1] < _FEW:
+            u, omega = self.free_motion(t, x, q.T)
+            rate: Any = *u.T, *quaternion_rate_space(y[3:7], omega.T)
+            for row, value in zip(out, rate, strict=True):
+                row[:] = value
+            return
+        flow = np.empty((ROWS[self._degree], y.shape[1]))
+        flow[0], flow[1:4] = self._degree, y[:3]
+        u, gradient, second = self._flow.expansion(x, t, self._degree)
+        flow[4:7], flow[7:16] = u.T, gradient.reshape(-1, 9).T
+        if second is not None:
+            flow[16:34] = pack_second(second).T
+        self._loop(y, out, flow, self._body, None, None, None, None)
+        back = q[:, :1].T * [1.0, -1.0, -1.0, -1.0] / np.linalg.norm(y[3:7, 0])
+        omega = 2.0 * rotation.multiply(out[3:7, :1].T, back)[:, 1:]
+        found = np.concatenate([out[:3, :1].T, omega], axis=1)
+        self._look(t, x[:1], q.T[:1], found, gradient[:1])
+
+    @cached_property
+    def _loop(self) -> Any:
+        from qbxstokes.motion.compiled import compiled_loops
+
+        return compiled_loops(self._kernels, self._degree, True).by_name["rate_block"]
