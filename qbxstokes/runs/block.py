@@ -5,26 +5,22 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from qbxstokes.case.load import LoadedCase
-from qbxstokes.case.values import Key
 from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact
-from qbxstokes.motion.diagnostics import orbit_axis
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.quantities import COLUMNS, RECORDABLE
 from qbxstokes.quantity import Quantity
 from qbxstokes.runs.gathering import Keeper
-from qbxstokes.runs.sweep_blocks import STOKES, Scenes
+from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.from_case import Starts, orbit_ratio, simulation_of, start_quaternion
+from qbxstokes.simulation.from_case import simulation_of, starts_of
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
@@ -70,63 +66,8 @@ def empty_result(
 def lanes_of(scenes: Scenes, number: int, index: Indices, body: Body | None = None) -> Simulation:
     """Some trajectories of a scene as the lanes of a simulation; body: formed before."""
     loaded = scenes.scene(number).loaded
-    starts = starts_of(loaded, scenes.space.values(index), len(index))
+    starts = starts_of(loaded.case, scenes.space.values(index), len(index))
     return simulation_of(loaded, body, replace(starts, numbers=index))
-
-
-def starts_of(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Starts:
-    """Where the n trajectories start, from a case and the swept values."""
-    case = loaded.case
-
-    def vectors(name: str) -> Array | None:
-        base = getattr(case.start, name)
-        key: Key = ("start", name)
-        moving = [k for k in values if k[:2] == key]
-        if base == "with_flow" and not moving:
-            return None
-        whole = (0.0, 0.0, 0.0) if base == "with_flow" else base
-        return _filled(whole, {k[2:]: values[k] for k in moving}, n)
-
-    position = vectors("position")
-    assert position is not None
-    stokes = np.broadcast_to(values.get(STOKES, case.body.stokes_number), (n,))
-    return Starts(
-        np.array(stokes, dtype=np.float64),
-        position,
-        _quaternions(loaded, values, n),
-        vectors("velocity"),
-        vectors("angular_velocity"),
-    )
-
-
-def _filled(base: Sequence[float], swept: Mapping[Key, Any], n: int) -> Array:
-    """Vectors (n, size): the base, with what is swept of it, as a whole () or by place (i,)."""
-    vectors = np.empty((n, len(base)))
-    vectors[:] = base
-    for place, values in swept.items():
-        vectors[(slice(None), *place)] = values
-    return vectors
-
-
-def _quaternions(loaded: LoadedCase, values: Mapping[Key, Any], n: int) -> Array:
-    """Start orientations (n, 4)."""
-    case = loaded.case
-    swept = {k[2:]: v for k, v in values.items() if k[:2] == ("start", "orientation")}
-    if not swept:
-        return np.tile(start_quaternion(case.start, case.body.outline), (n, 1))
-    if () in swept:  # random axes or rotations
-        random = swept[()]
-        return rotation.from_axis(random) if random.shape[1] == 3 else random
-    form = str(next(iter(swept))[0])
-    base = getattr(case.start.orientation, form)
-    if form in ("axis", "quaternion"):
-        vectors = _filled(base, {key[1:]: value for key, value in swept.items()}, n)
-        return rotation.from_axis(vectors) if form == "axis" else rotation.normalize(vectors)
-    names = ("phi", "theta", "psi") if form == "euler" else ("constant", "phase")
-    parts = [np.broadcast_to(swept.get((form, name), getattr(base, name)), (n,)) for name in names]
-    if form == "euler":
-        return rotation.from_euler(*parts)
-    return rotation.from_axis(orbit_axis(orbit_ratio(case.body.outline), *parts))
 
 
 # Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.

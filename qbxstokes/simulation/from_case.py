@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase, from_document
 from qbxstokes.case.running import Time
-from qbxstokes.case.scene import FREE, LOCKED, Start
+from qbxstokes.case.scene import FREE, LOCKED, WITH_FLOW, Start
+from qbxstokes.case.schema import Case
+from qbxstokes.case.values import Key
 from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Shape
@@ -72,7 +74,7 @@ def simulation_of(
     """
     case = loaded.case
     assert case.time is not None
-    own = starts_of(case.start, case.body.outline) if starts is None else None
+    own = starts_of(case) if starts is None else None
     stokes = case.body.stokes_number if starts is None else starts.stokes_number
     given = own or starts
     assert given is not None
@@ -103,34 +105,65 @@ def start_of(loaded: LoadedCase) -> Simulation:
     return Simulation(body, loaded.flow, position=start.position, orientation=turn)
 
 
-def starts_of(start: Start, shape: Shape) -> Starts:
-    """The start of a case as arrays without lanes."""
+def starts_of(case: Case, swept: Mapping[Key, Any] | None = None, n: int = 0) -> Starts:
+    """Where the body starts; n lanes, with values (n, ...) of keys in the place of its own."""
+    lanes = () if swept is None else (n,)
+    swept = swept or {}
 
-    def moving(value: Any) -> Array | None:
-        return None if value == "with_flow" else np.array(value)
+    def below(name: str) -> dict[Key, Any]:
+        return {key[2:]: values for key, values in swept.items() if key[:2] == ("start", name)}
 
+    def vectors(name: str) -> Array | None:
+        base, moving = getattr(case.start, name), below(name)
+        if base == WITH_FLOW and not moving:
+            return None
+        return _filled((0.0, 0.0, 0.0) if base == WITH_FLOW else base, moving, lanes)
+
+    stokes = swept.get(("body", "stokes_number"), case.body.stokes_number)
+    position, turned = vectors("position"), below("orientation")
+    assert position is not None
+    turn = start_quaternion(case.start, case.body.outline, turned, lanes if turned else ())
     return Starts(
-        np.zeros(()),
-        np.array(start.position),
-        start_quaternion(start, shape),
-        moving(start.velocity),
-        moving(start.angular_velocity),
+        np.array(np.broadcast_to(stokes, lanes), dtype=np.float64),
+        position,
+        np.array(np.broadcast_to(turn, (*lanes, 4))),
+        vectors("velocity"),
+        vectors("angular_velocity"),
     )
 
 
-def start_quaternion(start: Start, shape: Shape) -> Array:
-    """Unit quaternion (4,) of the start, from whichever form the case gives."""
-    form = start.orientation
-    if form.quaternion is not None:
-        return rotation.normalize(np.array(form.quaternion))
-    if form.axis is not None:
-        return rotation.from_axis(np.array(form.axis))
-    if form.orbit is not None:
-        return rotation.from_axis(
-            orbit_axis(orbit_ratio(shape), form.orbit.constant, form.orbit.phase)
-        )
-    assert form.euler is not None  # the schema lets exactly one form through
-    return rotation.from_euler(form.euler.phi, form.euler.theta, form.euler.psi)
+def _filled(base: Sequence[float], swept: Mapping[Key, Any], lanes: tuple[int, ...]) -> Array:
+    """Vectors (*lanes, size): the base, and what is swept of it, as a whole () or by place (i,)."""
+    vectors = np.empty((*lanes, len(base)))
+    vectors[...] = base
+    for place, values in swept.items():
+        vectors[(..., *place)] = values
+    return vectors
+
+
+def start_quaternion(
+    start: Start, shape: Shape, swept: Mapping[Key, Any] | None = None, lanes: tuple[int, ...] = ()
+) -> Array:
+    """Unit quaternions (*lanes, 4) of the start, from whichever form the case gives.
+
+    swept: values (n, ...) of what is below it in the place of the case's.
+    """
+    swept, given = swept or {}, start.orientation
+    if () in swept:  # axes or rotations as a whole
+        whole = np.asarray(swept[()])
+        return rotation.from_axis(whole) if whole.shape[1] == 3 else whole
+    # The schema lets exactly one form through.
+    form = next(name for name in given.declared if getattr(given, name) is not None)
+    base, moving = getattr(given, form), {key[1:]: values for key, values in swept.items()}
+    if form in ("axis", "quaternion"):
+        vectors = _filled(base, moving, lanes)
+        return rotation.from_axis(vectors) if form == "axis" else rotation.normalize(vectors)
+    parts = [
+        np.broadcast_to(moving.get((name,), getattr(base, name)), lanes) for name in base.declared
+    ]
+    if form == "euler":
+        return rotation.from_euler(*parts)
+    return rotation.from_axis(orbit_axis(orbit_ratio(shape), *parts))
 
 
 def orbit_ratio(shape: Shape) -> float:
