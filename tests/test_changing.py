@@ -258,3 +258,19 @@ def test_a_run_ends_where_its_series_does() -> None:
         qs.Body(0.5).integrate(flow, [5.0], tolerance=1e-6)
     scene = qs.Simulation(qs.Body(0.5), flow, tolerance=1e-6).assemble()
     assert integrate(scene.equations, scene.initial, [4.0], 1e-6).finished
+
+
+def test_a_heavy_body_waits_for_a_pulse() -> None:
+    rate = np.array([[0.1, 0.3, 0.0], [-0.2, 0.1, 0.4], [0.1, 0.0, -0.2]])
+
+    def gradient(t: float) -> Any:  # as good as nothing at first
+        return 20.0 * np.exp(-(((t - 4.0) / 0.2) ** 2)) * rate
+
+    flow = qs.flow("linear", gradient=gradient, longest_step=0.2)
+    body = qs.Body(20.0, stokes_number=0.01)
+    axes = [
+        body.integrate(flow, [8.0], orientation=AXIS, tolerance=tolerance).axis[-1]
+        for tolerance in (1e-9, 1e-7)
+    ]
+    assert np.abs(axes[0] - axes[1]).max() < 1e-6
+    assert np.abs(axes[0] - AXIS).max() > 0.1

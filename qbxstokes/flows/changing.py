@@ -68,7 +68,7 @@ class ChangingFlow(SumFlow):
     def _factors(self, t: Array) -> Array:
         """What the terms are multiplied by at instants (T,), (T, terms)."""
         factors = np.ones((len(t), len(self.terms)))
-        numbers = self.signal.at(float(t[0]))[None] if len(t) == 1 else self.signal.many(t)
+        numbers = self.signal.at(float(t[0]))[None] if len(t) == 1 else self.signal.about(t)
         factors[:, : len(self.units)] = numbers
         return factors
 

@@ -155,13 +155,9 @@ class Series:
 
     def values(self, t: Array) -> Array:
         """The values (n, m) at instants (n,), of a series of one path."""
-        flat = np.array([self.inside(s) for s in t.tolist()])
-        places = np.clip(np.searchsorted(self.times, flat, "right") - 1, 0, len(self.times) - 2)
-        s = (flat - self.times[places]) / np.diff(self.times)[places]
-        powers = self._powers(places)
-        found: Array = np.einsum("nk,nkm->nm", s[:, None] ** np.arange(powers.shape[1]), powers)
-        if self.interpolation == "hold":
-            found[flat >= self.times[-1]] = self._one[-1]
+        origins, scales, powers = self.powers(t, t)
+        x = ((t - origins) * scales)[:, None]
+        found: Array = np.einsum("nk,nkm->nm", x ** np.arange(powers.shape[1]), powers)
         return found
 
     def __call__(self, t: float) -> Array:
@@ -177,20 +173,15 @@ class Series:
         middle = 0.5 * (first + last)
         inside = np.array([self.inside(t) for t in middle.tolist()])
         places = np.clip(np.searchsorted(self.times, inside, "right") - 1, 0, len(self.times) - 2)
-        coefficients = self._powers(places)
-        beyond = (inside == self.times[0]) | (inside == self.times[-1])  # clamped
-        if np.any(beyond):
+        begin, weights = self._weights
+        window = self._one[begin[places][:, None] + np.arange(weights.shape[2])]
+        coefficients = np.einsum("nkj,njm->nkm", weights[places], window)
+        for end, sample in ((0, self.times[0]), (-1, self.times[-1])):  # at an end, or clamped
+            beyond = inside == sample
             coefficients[beyond] = 0.0
-            coefficients[beyond, 0] = self._one[np.where(inside == self.times[0], 0, -1)[beyond]]
+            coefficients[beyond, 0] = self._one[end]
         origins = middle - (inside - self.times[places])
         return origins, 1.0 / np.diff(self.times)[places], coefficients
-
-    def _powers(self, places: NDArray[np.int64]) -> Array:
-        """Coefficients (n, degree + 1, m) of intervals of samples in their own time, 0 to 1."""
-        first, weights = self._weights
-        window = self._one[first[places][:, None] + np.arange(weights.shape[2])]
-        found: Array = np.einsum("nkj,njm->nkm", weights[places], window)
-        return found
 
     @cached_property
     def _weights(self) -> tuple[NDArray[np.int64], Array]:

@@ -152,6 +152,17 @@ class Signal:
         """The numbers (n, m) at instants (n,)."""
         return np.concatenate([part.many(t) for part in self.parts], axis=1)
 
+    def about(self, t: Array) -> Array:
+        """The same to the accuracy of the motion at hand, where it has come so far."""
+        known = None if self._known is None else self._known[2]
+        if (
+            known is not None
+            and known.piece(float(t.max())) >= 0
+            and known.piece(float(t.min())) >= 0
+        ):
+            return known.many(t)
+        return self.many(t)
+
     def joined(self, other: Signal) -> Signal:
         """The numbers of both."""
         return Signal((*self.parts, *other.parts))

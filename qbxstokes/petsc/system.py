@@ -137,6 +137,9 @@ class System:
                 self.equations, start.time, start.state, self.end, self._tolerance, self._breaks
             )
         self._scales = self.equations.scales(start.time, start.state)
+        if self._changing is not None:  # at the start the flow may be as good as still
+            rates = self._scales[:, VELOCITY.start :]
+            np.maximum(rates, 1.0 / self.end, out=rates)
         return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)
 
     def integrator(self, vector: Any, adaptive: bool) -> Any:

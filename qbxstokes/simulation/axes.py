@@ -68,7 +68,7 @@ def axes_in(
     for t, matrix in zip(ends.tolist(), matrices, strict=True):
         whole = matrix @ whole
         wanted = place < len(instants) and t == instants[place]
-        if wanted or np.abs(whole).max() > _GROWTH:
+        if wanted or np.vdot(whole, whole) > _GROWTH * _GROWTH:
             p = whole @ p
             p /= np.sqrt(np.einsum("in,in->n", p, p))
             whole = np.eye(3)

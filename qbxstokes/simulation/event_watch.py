@@ -43,10 +43,9 @@ def build_events(scene: Simulation, equations: RigidBodyEquations, initial: Arra
     if section.half_turns and (scene.period is not None or section.plane is not None):
         plane = None if section.plane is None else np.array(section.plane)
         passage = Passage.of(scene.gradient, scene.body.effective_ratio, plane)
-    scale = float(np.max(equations.time_rate(0.0, initial)))
-    events: list[Event] = [
-        turning_point(equations, name, scale) for name in dict.fromkeys(section.turning_points)
-    ]
+    named = list(dict.fromkeys(section.turning_points))
+    scale = float(np.max(equations.time_rate(0.0, initial))) if named else 0.0
+    events: list[Event] = [turning_point(equations, name, scale) for name in named]
     if section.steady is not None:
         events.append(steady(equations, section.steady, section.stop_when_steady))
     row = initial[0].tolist()
