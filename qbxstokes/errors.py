@@ -5,6 +5,7 @@ message (what, where, what would be right) and leaves with `exit_status`.
 """
 
 import sys
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
@@ -12,6 +13,15 @@ from typing import Any
 def escaped(text: str) -> str:
     """`text` on one line, with control and other unprintable characters as escape sequences."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def nearest(word: str, known: Iterable[str], otherwise: str, more: str = "") -> str:
+    """The question for the known word that `word` most resembles, and more; or something else."""
+    import difflib
+
+    names = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), names, 1, 0.6) if word else []
+    return f"did you mean {names[close[0]]}?{more}" if close else otherwise
 
 
 class QbxStokesError(Exception):

@@ -482,10 +482,10 @@ def test_paths_of_user_functions_are_resolved_in_sums_too(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
-        ({"type": "sheer"}, "unknown flow type 'sheer'; did you mean 'shear'"),
+        ({"type": "sheer"}, "unknown flow type 'sheer'; did you mean shear"),
         ({"rate": 1.0}, "needs a key 'type'"),
         ([], "mapping"),
-        ({"type": "shear", "rat": 1.0}, "no key 'rat'; did you mean 'rate'"),
+        ({"type": "shear", "rat": 1.0}, "no key 'rat'; did you mean rate"),
         ({"type": "shear", "rate": "fast"}, "rate must be a finite number.*, not 'fast'"),
         ({"type": "shear", "rate": float("nan")}, "finite"),
         ({"type": "shear", "rate": True}, "finite number, not True"),

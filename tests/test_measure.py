@@ -146,7 +146,7 @@ def test_an_error_above_the_limit_is_told(run_cli: Run, write_case: WriteCase) -
         ({"body": {"aspect_ratio": 1, "stokes_number": 1}}, "body.stokes_number: has no meaning"),
         ({"hydrodynamics": {"cache": "x"}}, "hydrodynamics.cache: has no meaning"),
         ({"flow": {"rate": 1}}, "flow.type: is missing"),
-        ({"flow": {"type": "sheer"}}, "did you mean 'shear'"),
+        ({"flow": {"type": "sheer"}}, "did you mean shear"),
         ({"task": "motion", "time": {"end": 1}}, "flow: is missing"),
     ],
 )

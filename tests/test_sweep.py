@@ -238,7 +238,7 @@ def test_blocks_hold_every_trajectory_once_and_one_decade_each(
         ({"start.position[7]": [1]}, "start.position is a list of 3 entries"),
         ({"body.aspect_ratio.x": [1]}, "body.aspect_ratio is not a section"),
         ({"body.stokes_number": {"linspace": [0, 1], "count": 2, "seed": 1}}, "seed: has no mean"),
-        ({"flow.rat": [1]}, "did you mean 'rate'"),
+        ({"flow.rat": [1]}, "did you mean rate"),
     ],
 )
 def test_faults_are_told_with_file_and_line(

@@ -6,8 +6,10 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
+from qbxstokes.errors import nearest
 from qbxstokes.expressions import CONSTANTS, LARGEST, expression_in_time
 
 Key = tuple[str | int, ...]
@@ -94,15 +96,7 @@ def describe(value: Any) -> str:
 
 def meant(word: str, known: Iterable[str], otherwise: str, more: str = "") -> Callable[[], str]:
     """Tells the known word that `word` most resembles, and more; or something otherwise."""
-
-    def told() -> str:
-        import difflib
-
-        names = {name.lower(): name for name in known}
-        close = difflib.get_close_matches(word.lower(), names, 1, 0.6) if word else []
-        return f"did you mean {names[close[0]]}?{more}" if close else otherwise
-
-    return told
+    return partial(nearest, word, known, otherwise, more)
 
 
 # -- expressions ----------------------------------------------------------------------------------

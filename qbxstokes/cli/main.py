@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from qbxstokes import __version__
-from qbxstokes.errors import CaseError, OutputError, QbxStokesError
+from qbxstokes.errors import CaseError, OutputError, QbxStokesError, nearest
 
 USAGE = """\
 usage: python -m qbxstokes CASE.yaml [options] [-petsc_option value ...]
@@ -95,12 +95,8 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         wrong = re.fullmatch(r"unrecognized arguments: (--\S+).*", message)
         if wrong:
-            import difflib
-
-            close = difflib.get_close_matches(wrong[1], self._option_string_actions, 1)
-            message = f"{wrong[1]}: unknown option" + (
-                f"; did you mean {close[0]}?" if close else ""
-            )
+            meant = nearest(wrong[1], self._option_string_actions, "")
+            message = "; ".join([f"{wrong[1]}: unknown option", *([meant] if meant else [])])
         raise CaseError(f"command line: {message}; see python -m qbxstokes --help")
 
 
@@ -158,10 +154,7 @@ def run_command(arguments: Sequence[str]) -> int:
         if len(options.words) > 1 or not (Path(first).suffix or os.path.exists(first)):
             if Path(first).suffix in (".yaml", ".yml"):
                 raise CaseError(f"command line: {options.words[1]}: one case at a time")
-            import difflib
-
-            close = difflib.get_close_matches(first, commands, 1)
-            right = f"did you mean {close[0]}?" if close else f"commands: {', '.join(commands)}"
+            right = nearest(first, commands, f"commands: {', '.join(commands)}")
             raise CaseError(
                 f"command line: {first[:80]}: neither a command nor a case file; {right} "
                 "(a case is run by its name alone)"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
 
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, nearest
 
 PAGES = Path(__file__).parents[1] / "pages"
 _WIDTH = 92  # of tables, in columns
@@ -42,10 +42,8 @@ def page(topic: str) -> str:
     """
     found = topics()
     if topic not in found:
-        import difflib
-
-        close = difflib.get_close_matches(topic.lower().removesuffix(".md"), found, 1)
-        right = f"did you mean {close[0]}?" if close else "python -m qbxstokes help lists them"
+        known = "python -m qbxstokes help lists them"
+        right = nearest(topic.removesuffix(".md"), found, known)
         raise CaseError(f"command line: help {topic}: no such topic; {right}")
     text = (PAGES / f"{topic}.md").read_text(encoding="utf-8")
     return "\n".join(_plain(text.splitlines())) + "\n"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, nearest
 from qbxstokes.flows.above_wall import AboveWall
 from qbxstokes.flows.base import Flow, SumFlow
 from qbxstokes.flows.changing import ChangingFlow, in_time
@@ -60,10 +60,7 @@ def build_flow(spec: Mapping[str, Any], directory: str | Path | None = None) -> 
     rest = dict(spec) if directory is None else resolve_paths(spec, directory)
     name = rest.pop("type", None)
     if name not in REGISTRY:
-        import difflib
-
-        near = difflib.get_close_matches(str(name), REGISTRY, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known flows: {', '.join(REGISTRY)}"
+        hint = nearest(str(name), REGISTRY, f"known flows: {', '.join(REGISTRY)}")
         what = "flow needs a key 'type'" if name is None else f"unknown flow type {name!r}"
         raise FlowError(f"{what}; {hint}", () if name is None else ("type",))
     position = rest.pop("position", None)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qbxstokes.errors import FlowError, SinglePrecisionWarning
+from qbxstokes.errors import FlowError, SinglePrecisionWarning, nearest
 from qbxstokes.expressions import LARGEST
 
 Array = NDArray[np.float64]
@@ -37,10 +37,7 @@ def check_keys(spec: Mapping[str, Any], known: list[str], type_name: str) -> Non
     """Raise FlowError naming the nearest known key if `spec` holds an unknown one."""
     for key in spec:
         if key not in known:
-            import difflib
-
-            near = difflib.get_close_matches(str(key), known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+            hint = nearest(str(key), known, f"known keys: {', '.join(known)}")
             raise FlowError(f"flow {type_name!r} has no key {key!r}; {hint}", (str(key),))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import fields
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from qbxstokes.errors import SceneError
+from qbxstokes.errors import SceneError, nearest
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
 
@@ -48,12 +47,12 @@ def build_shape(
         raise SceneError("shape", f"is {shape!r}", right)
     numbers = {name: value for name, value in shape.items() if name != "type"}
     if shape["type"] not in SHAPES:
-        raise SceneError("shape.type", f"is {shape['type']!r}", _meant(shape["type"], SHAPES))
+        raise SceneError("shape.type", f"is {shape['type']!r}", _nearest(shape["type"], SHAPES))
     made = SHAPES[shape["type"]]
     names = [field.name for field in fields(made)]  # type: ignore[arg-type]
     for name in numbers:
         if name not in names:
-            raise SceneError(f"shape.{name}", "is no key of this shape", _meant(name, names))
+            raise SceneError(f"shape.{name}", "is no key of this shape", _nearest(name, names))
     for name in names:
         value = numbers.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -65,6 +64,5 @@ def build_shape(
         raise SceneError(f"shape.{error.key}", error.wrong, error.right) from None
 
 
-def _meant(word: Any, known: Any) -> str:
-    near = difflib.get_close_matches(str(word), list(known), n=1)
-    return f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+def _nearest(word: Any, known: Any) -> str:
+    return nearest(str(word), known, f"known here: {', '.join(known)}")

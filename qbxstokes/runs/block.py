@@ -13,7 +13,7 @@ from qbxstokes.flows.check import check_singularities
 from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact
-from qbxstokes.petsc.trajectory import Checkpoint
+from qbxstokes.petsc.trajectory import Checkpoint, Trajectory
 from qbxstokes.quantities import COLUMNS, RECORDABLE
 from qbxstokes.quantity import Quantity
 from qbxstokes.runs.gathering import Keeper
@@ -190,10 +190,7 @@ class _Integration:
             self.stopped = True
             self.save()
             return
-        if trajectory.refusal or trajectory.failure:
-            raise ConvergenceError(trajectory.refusal or trajectory.failure)
-        if not np.isfinite(run.states[:, run.active]).all():
-            raise ConvergenceError("the state is not finite")
+        check_whole(run, trajectory)
         self.result.steps += trajectory.checkpoint.steps * len(rows)
         self.result.evaluations += trajectory.checkpoint.evaluations * len(rows)
         self._summarise(run, rows)
@@ -246,6 +243,14 @@ class _Integration:
             for name in ("failed", "endings"):
                 result[name] = dict(result[name])
             vars(self.result).update(result)
+
+
+def check_whole(run: LaneRun, trajectory: Trajectory) -> None:
+    """Raise ConvergenceError for a run that came to no end."""
+    if trajectory.refusal or trajectory.failure:
+        raise ConvergenceError(trajectory.refusal or trajectory.failure)
+    if not np.isfinite(run.states[:, run.active]).all():
+        raise ConvergenceError("the state is not finite")
 
 
 def summarise(

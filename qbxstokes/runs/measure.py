@@ -21,7 +21,7 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
-from qbxstokes.runs.block import BlockResult, summarise
+from qbxstokes.runs.block import BlockResult, check_whole, summarise
 from qbxstokes.runs.body import computed
 from qbxstokes.runs.plan import CoupledPlan, make_plan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_layout import DRIVEN, columns_of_bodies
@@ -142,10 +142,7 @@ class Measurer:
             trajectory = timed(motions, partial(run.go, interrupted=self._poke))
             if not trajectory.finished:
                 raise Stopped
-        if trajectory.refusal or trajectory.failure:
-            raise ConvergenceError(trajectory.refusal or trajectory.failure)
-        if not np.isfinite(run.states[:, run.active]).all():
-            raise ConvergenceError("the state is not finite")
+        check_whole(run, trajectory)
         setup = setup or median(setups[1:] or setups)
         if plan.simulation.kind == "table":
             self._known[key] = body, setup
