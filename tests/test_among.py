@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import qbxstokes as qs
+from qbxstokes.bie.lines import lines_in_space
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.plots.animation import animate
@@ -130,8 +131,7 @@ def test_a_motion_stores_surfaces_for_paraview_and_is_animated(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"shells": {}}, "field.shells: has no meaning"),
-        ({"tracers": {"duration": 1.0}}, "field.tracers: has no meaning"),
+        ({"tracers": {"duration": 1.0}}, "field.tracers: would follow bodies that do not stay"),
         ({"plane": {"frame": "body"}}, "field.plane.frame: is not space"),
         ({"body": "moving"}, "field.body: has no meaning"),
     ],
@@ -155,3 +155,70 @@ def test_instants_beyond_the_end_of_a_motion_have_no_field() -> None:
     found = qs.run(case)
     assert found.time[-1] < 2.0
     assert found.groups["field"]["time"].tolist() == [0.0]
+
+
+def test_lines_follow_the_flow_among_bodies_and_end_on_them(tmp_path: Path) -> None:
+    lines = {"start": [-2, 0.3, 0], "stop": [-2, 2.2, 0], "number": 4, "tolerance": 1e-5}
+    field = {
+        "body": "held",
+        "shells": {"distances": [0.0, 0.2], "shape": [5, 8]},
+        "streamlines": {**lines, "length": 3.0, "samples": 61, "both_ways": True},
+        "tracers": {**lines, "duration": 2.0, "samples": 41},
+        "quantities": ["velocity"],
+    }
+    path = tmp_path / "lines.h5"
+    found = qs.run({**SCENE, "task": "field", "field": field}, file=path).groups["field"]
+    bodies = [qs.Body(0.5), qs.Body(1.0, size=0.6)]
+    x, axes = [[0, 1.6, 0], [2.4, 1.2, 0]], [[1, 0, 0], [0, 0, 1]]
+    held = qs.Suspension(bodies, WALL, tolerance=1e-2).held(qs.flow("shear"), x, axes)
+    flow = FlowAmong(held, qs.flow("shear"))
+
+    streams, paths = found["streamlines"]["points"][0], found["tracers"]["points"]
+    assert streams.shape == (4, 121, 3)
+    for line, step in ((streams, 0.05), (np.moveaxis(paths, 1, 0), 0.05)):
+        slope = (line[:, 2:] - line[:, :-2]) / (2.0 * step)
+        u = flow.carrying(line[:, 1:-1].reshape(-1, 3)).reshape(slope.shape)
+        u /= np.linalg.norm(u, axis=-1, keepdims=True) if line is streams else 1.0
+        assert np.abs(slope - u).max() < 0.05
+    for b, (body, size) in enumerate(zip(bodies, (1.0, 0.6), strict=True)):
+        points = found[f"shells_{b + 1}"]["points"][0].reshape(2, -1, 3)
+        away = body.shape.clearance((points - x[b]) / size, np.zeros(3), np.array(axes[b], float))
+        assert np.allclose(size * away.T, [0.0, 0.2], atol=1e-6)
+    with h5py.File(path.with_suffix(".vtkhdf")) as file:
+        assert {"streamlines", "shells_1", "shells_2"} <= set(file["VTKHDF/Assembly"])
+
+
+def test_lines_end_where_they_come_to_a_moving_body() -> None:
+    flow, _ = two(1e-2)
+    starts = np.array([[-1.2, 1.5, 0.0], [0.0, 1.5, 0.0], [-1.2, 0.4, 0.0]])
+    x = lines_in_space(flow.carrying, flow.inside, starts, np.linspace(0.0, 2.0, 41), 1e-4)
+    assert np.isnan(x[1]).all()
+    ends = np.isfinite(x[0]).all(axis=1).sum()
+    assert 1 < ends < 41
+    assert (
+        flow.problem.bodies[0].shape.clearance(
+            flow.problem.bodies[0].to_body(x[0, ends - 1][None]), np.zeros(3), np.eye(3)[2]
+        )
+        < 0.1
+    )
+    assert np.isfinite(x[2]).all()
+
+
+def test_tracers_of_one_listed_body_are_those_of_one_body() -> None:
+    lines = {"start": [-1.5, 0.1, 0.3], "stop": [1.2, 1, 0], "number": 3, "tolerance": 1e-5}
+    case = {
+        "flow": {"type": "shear"},
+        "forces": {"force": [0, 0, 0.5]},
+        "hydrodynamics": {"tolerance": 1e-4},
+        "time": {"end": 1.0, "samples": 3, "tolerance": 1e-5},
+        "compare": {"reference": "none"},
+    }
+    one, start = {"aspect_ratio": 0.5}, {"position": [0, 0, 0], "orientation": {"axis": [1, 1, 0]}}
+    field = {"quantities": ["velocity"], "tracers": {**lines, "frame": "space", "samples": 3}}
+    field |= {"surface": None, "vtk": False, "check": 0}
+    alone = qs.run({**case, "body": one, "start": start, "field": field}).groups["field"]["tracers"]
+    listed = qs.run({**case, "bodies": [{**one, "start": start}], "field": field}).groups["field"][
+        "tracers"
+    ]
+    assert np.allclose(listed["points"], alone["points"], atol=2e-4)
+    assert np.allclose(listed["position"][:, 0], alone["position"], atol=1e-4)

@@ -1,4 +1,4 @@
-"""Lines along the flow relative to a body, which never cross its surface.
+"""Lines along the flow: relative to a body, whose surface they never cross, or in space.
 
 Points outside an ellipsoid of semi-axes a are written as x_i = sqrt(1 + L) a_i y_i with |y| = 1 and
 L > 0; the state is (log L, y). The relative velocity vanishes on the surface with its normal
@@ -17,7 +17,7 @@ from qbxstokes.bie.field import FlowAround, FlowField
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Shape
-from qbxstokes.typing import Array
+from qbxstokes.typing import Array, Booleans
 
 Velocity = Callable[[float, Array], Array]
 
@@ -142,6 +142,49 @@ def streamlines(
     if both:
         lines = np.concatenate([run(-1.0)[:, :0:-1], lines], axis=1)
     return np.asarray(lines @ around.rotation.T + around.position)
+
+
+def lines_in_space(
+    velocity: Callable[[Array], Array],
+    inside: Callable[[Array], Booleans],
+    points: Array,
+    parameter: Array,
+    tolerance: float,
+) -> Array:
+    """Lines (N, P, 3) along a velocity of space, by arc length, until they are inside a body.
+
+    velocity: of points (N, 3), with the motion of the bodies inside them. Steps as in
+    `integrate_lines`; NaN once a line has come inside, where it began or where it can go no
+    further.
+    """
+    from scipy.integrate import DOP853
+
+    free = ~inside(points)
+    lines = np.full((len(points), len(parameter), 3), np.nan)
+    lines[free, 0] = points[free]
+
+    def rate(_: float, flat: Array) -> Array:
+        u = np.zeros((len(points), 3))
+        u[free] = velocity(flat.reshape(-1, 3)[free])
+        speed = np.linalg.norm(u, axis=-1, keepdims=True)
+        return np.ravel(u / np.where(speed > 0.0, speed, 1.0))
+
+    first, last, at = float(parameter[0]), float(parameter[-1]), 1
+    solver = DOP853(rate, first, np.ravel(points), last, rtol=max(tolerance, 1e-13), atol=tolerance)
+    while solver.status == "running" and free.any():
+        solver.step()
+        if solver.status == "failed":
+            break
+        within, ended = solver.dense_output(), free.copy()
+        while at < len(parameter) and parameter[at] <= solver.t:
+            x = within(parameter[at]).reshape(-1, 3)
+            free &= ~inside(x)
+            lines[free, at] = x[free]
+            at += 1
+        free &= ~inside(solver.y.reshape(-1, 3))
+        if (free != ended).any():  # these stay where they are from now on
+            solver.f = rate(solver.t, solver.y)
+    return lines
 
 
 class MovingFlow:

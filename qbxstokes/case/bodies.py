@@ -148,8 +148,6 @@ _FOREIGN: dict[Key, str] = {
     ("time", "periods"): "give time.end: bodies that feel each other or a wall have no period",
     ("constraints",): "leave it out: all bodies are free",
     ("rheology",): "leave it out, or use one body in an unbounded fluid",
-    ("field", "streamlines"): "leave it out: pictures of a plane draw them",
-    ("field", "tracers"): "leave it out",
     ("field", "method"): "leave it out: harmonics of all bodies",
     ("field", "force"): "give it in the section forces",
     ("field", "torque"): "give it in the section forces",
@@ -180,7 +178,6 @@ def prepared(data: dict[str, Any], task: str) -> dict[str, Any]:
         if task != "motion" and any(b.get("stokes_number") for b in bodies if isinstance(b, dict)):
             raise Problem("hold a stokes_number", "none: nothing moves", ("bodies",))
         refuse(filled, dict.fromkeys((("body",), ("start",)), "give it in bodies"), "beside bodies")
-        refuse(filled, {("field", "shells"): "leave it out: they are those of one body"}, _ALONE)
     refuse(filled, _FOREIGN, _ALONE)
     for section, known in _TOLERANT.items():
         given = data.get(section)
@@ -212,7 +209,7 @@ def _field(given: dict[str, Any], listed: bool) -> dict[str, Any]:
         right = "free, with the section forces, or held"
         raise Problem(f"has no meaning {_ALONE}", right, ("field", "body"))
     found = dict(given)
-    for name in ("plane", "box", "points") if listed else ():
+    for name in ("plane", "box", "points", "streamlines", "tracers") if listed else ():
         points = {} if name in given and given[name] is None else given.get(name)
         if not isinstance(points, dict):
             continue

@@ -200,6 +200,10 @@ class Case(Section, **_MOVED, **_WITHIN):
             if self.field.tracers is not None and self.field.tracers.duration is None:
                 right, path = "task: field needs the end of the paths", ("tracers", "duration")
                 raise Problem("is missing", right, ("field", *path))
+            if self.field.tracers is not None and self.coupled and self.field.body != "held":
+                wrong = "would follow bodies that do not stay as they are"
+                right = "task: motion, or field.body: held"
+                raise Problem(wrong, right, ("field", "tracers"))
         if self.flow is None and not self.coupled:
             wrong, right = "has no meaning without a flow", "leave it out, or give one"
             if "start" in self.given_keys:

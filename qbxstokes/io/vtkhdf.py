@@ -75,15 +75,13 @@ def _piece(
 ) -> tuple[AnyArray, AnyArray, int, dict[str, AnyArray]]:
     """Points (N, 3), cells (M, n), type of cell and point data of a part at one step."""
     if name == "streamlines":
-        lines = inner["points"][step]
-        whole = ~np.isnan(lines).any(axis=(1, 2))
-        lines = lines[whole]
+        lines = _ended(inner["points"][step])
         index = np.arange(lines.shape[0] * lines.shape[1]).reshape(lines.shape[:2])
         number = np.repeat(np.arange(len(lines)), lines.shape[1]).astype(float)
         return lines.reshape(-1, 3), index, 0, {"line": number}
     points = inner["points"][step]
     shape = tuple(int(n) for n in inner.attrs["shape"])
-    closed = name.startswith("surface") or name == "shells"
+    closed = name.startswith(("surface", "shells"))
     cells, kind = _cells(shape, closed)
     data = {}
     for key, values in inner.items():
@@ -102,6 +100,16 @@ def _piece(
     if "inside" in data:
         cells = cells[~data["inside"].astype(bool)[cells].any(axis=1)]
     return points, cells, kind, data
+
+
+def _ended(lines: AnyArray) -> AnyArray:
+    """Lines (N, P, 3) that are anywhere, staying where they end (NaN from there on, or before)."""
+    good = ~np.isnan(lines[..., 0])
+    lines, good = lines[good.any(axis=1)], good[good.any(axis=1)]
+    index = np.arange(lines.shape[1])
+    first = np.argmax(good, axis=1)[:, None]
+    last = lines.shape[1] - 1 - np.argmax(good[:, ::-1], axis=1)[:, None]
+    return np.take_along_axis(lines, np.clip(index, first, last)[..., None], axis=1)
 
 
 def _cells(shape: tuple[int, ...], closed: bool) -> tuple[AnyArray, int]:

@@ -155,6 +155,10 @@ class CoupledEquations(RigidBodyEquations):
             self._latest = t, np.array(y), self.fluid.free(t, y[:, POSITION], q)
         return self._latest[2]
 
+    def know(self, t: float, y: Array, velocities: tuple[Array, Array]) -> None:
+        """Take velocities of massless bodies in a state as found: no problem is solved for them."""
+        self._latest = t, np.array(y), velocities
+
     def force_torque(self, t: float, y: Array) -> tuple[Array, Array]:
         """Hydrodynamic force and torque ON the bodies (space frame), each (N, 3)."""
         q = rotation.normalize(y[:, ORIENTATION])

@@ -18,7 +18,7 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import RECORDABLE, of_bodies
 from qbxstokes.runs.destination import identity_of, working_folder
-from qbxstokes.runs.field_lines import moving_tracers, steady_tracers
+from qbxstokes.runs.field_lines import moving_tracers, steady_tracers, tracers_among
 from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
 from qbxstokes.runs.gathering import seconds_between
@@ -136,9 +136,8 @@ def field_of_motion(
     if section.tracers is not None:
         start, end = assembled.initial, float(times[-1])
         with job.clock.part("tracers"):
-            paths = moving_tracers(
-                work.solution, section, assembled.equations, start, end, time.tolerance
-            )
+            follow = tracers_among if loaded.case.coupled else moving_tracers
+            paths = follow(work.solution, section, assembled.equations, start, end, time.tolerance)
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 

@@ -1,7 +1,12 @@
-"""Lines that follow the flow of a field: streamlines at an instant, tracers about a body."""
+"""Lines that follow the flow of a field: streamlines at an instant, tracers about the bodies.
+
+About one body in an unbounded fluid streamlines are those of the velocity relative to it; among
+several, or by a wall, of the velocity in space, until they come to a surface.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +15,7 @@ from qbxstokes.bie.field import FlowAround
 from qbxstokes.case.field import FieldSection
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.runs.field_targets import in_space
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.typing import Array
@@ -25,26 +31,45 @@ def _starts(lines: Any, instant: Instant) -> Array:
     return in_space(points, lines.frame, instant.position, instant.rotation)
 
 
-def streamlines(around: FlowAround, section: FieldSection, instant: Instant) -> Array:
-    """Streamlines (lines, samples, 3) in space at the instant."""
-    from qbxstokes.bie.lines import streamlines
+def streamlines(around: Any, section: FieldSection, instant: Instant) -> Array:
+    """Streamlines (lines, samples, 3) in space at the instant, of a FlowAround or FlowAmong."""
+    from qbxstokes.bie.lines import lines_in_space, streamlines
 
     asked = section.streamlines
     assert asked is not None
     starts = _starts(asked, instant)
-    return streamlines(
-        around, starts, asked.length, asked.samples, asked.tolerance, asked.both_ways
-    )
+    if isinstance(around, FlowAround):
+        return streamlines(
+            around, starts, asked.length, asked.samples, asked.tolerance, asked.both_ways
+        )
+    parameter = np.linspace(0.0, asked.length, asked.samples)
+
+    def run(sign: float) -> Array:
+        def velocity(x: Array) -> Array:
+            return sign * around.carrying(x)
+
+        return lines_in_space(velocity, around.inside, starts, parameter, asked.tolerance)
+
+    if asked.both_ways:
+        return np.concatenate([run(-1.0)[:, :0:-1], run(1.0)], axis=1)
+    return run(1.0)
 
 
-def steady_tracers(around: FlowAround, section: FieldSection, instant: Instant) -> dict[str, Array]:
-    """Paths about a body that stays in its state, in space as seen from its centre."""
+def steady_tracers(around: Any, section: FieldSection, instant: Instant) -> dict[str, Array]:
+    """Paths about a body that stays in its state, in space as seen from its centre.
+
+    Among bodies that are held, in space.
+    """
     from qbxstokes.bie.lines import integrate_lines, outer_axes
 
     asked = section.tracers
     assert asked is not None
     assert asked.duration is not None
     times = np.linspace(0.0, asked.duration, asked.samples)
+    if not isinstance(around, FlowAround):
+        starts = _starts(asked, instant)
+        none = np.zeros((0, 1))
+        return _carried(lambda t, y: (none, around), none, starts, times, asked.tolerance, 0.0)[0]
     paths = integrate_lines(
         lambda _, x: around.relative_velocity(x),
         around.to_body(_starts(asked, instant)),
@@ -55,6 +80,77 @@ def steady_tracers(around: FlowAround, section: FieldSection, instant: Instant) 
     )
     points = paths @ around.rotation.T + around.position
     return {"time": times, "points": np.moveaxis(points, 1, 0)}
+
+
+def tracers_among(
+    solution: Any,
+    section: FieldSection,
+    equations: Any,
+    initial: Array,
+    end: float,
+    tolerance_of_motion: float,
+) -> dict[str, Array]:
+    """Paths while the bodies move: all are integrated together from time 0 on.
+
+    solution: `AmongBodies`; equations: of the motion; initial: its states (N, n_state).
+    """
+    asked = section.tracers
+    assert asked is not None
+    times = np.linspace(0.0, asked.duration or end, asked.samples)
+    q = rotation.normalize(initial[:, ORIENTATION])
+    start = (
+        Instant(0.0, initial[:, POSITION], q) if len(q) > 1 else Instant(0.0, initial[0, :3], q[0])
+    )
+    starts = _starts(asked, start)
+    tolerance = tolerance_of_motion / equations.sensitivity(0.0, initial, float(times[-1]))
+    found, states = _carried(
+        lambda t, y: solution.moving(equations, t, y),
+        initial,
+        starts,
+        times,
+        asked.tolerance,
+        min(asked.tolerance, tolerance),
+    )
+    position, turn = states[..., POSITION], rotation.normalize(states[..., ORIENTATION])
+    return {**found, "position": position, "orientation": turn}
+
+
+def _carried(
+    moving: Callable[[float, Array], tuple[Array, Any]],
+    initial: Array,
+    starts: Array,
+    times: Array,
+    tolerance: float,
+    tolerance_of_bodies: float,
+) -> tuple[dict[str, Array], Array]:
+    """Paths in space of tracers and of what carries them: moving(t, y) is dy/dt and the flow."""
+    from scipy.integrate import solve_ivp
+
+    n = initial.size
+    good = ~moving(0.0, initial)[1].inside(starts)
+
+    def rate(t: float, flat: Array) -> Array:
+        slope, around = moving(t, flat[:n].reshape(initial.shape))
+        carried = around.carrying(flat[n:].reshape(-1, 3))
+        return np.concatenate([slope.ravel(), carried.ravel()])
+
+    allowed = np.full(n + 3 * int(good.sum()), tolerance)
+    allowed[:n] = tolerance_of_bodies
+    allowed = np.maximum(allowed, 1e-13)
+    found = solve_ivp(
+        rate,
+        (0.0, times[-1]),
+        np.concatenate([initial.ravel(), starts[good].ravel()]),
+        method="DOP853",
+        t_eval=times,
+        rtol=allowed,
+        atol=allowed,
+    )
+    if not found.success:
+        raise ConvergenceError(f"the paths of the tracers stopped: {found.message}")
+    points = np.full((len(times), len(starts), 3), np.nan)
+    points[:, good] = found.y[n:].T.reshape(len(times), -1, 3)
+    return {"time": times, "points": points}, found.y[:n].T.reshape(len(times), *initial.shape)
 
 
 def moving_tracers(

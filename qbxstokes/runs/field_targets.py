@@ -22,7 +22,8 @@ class Targets:
     """A set of points: its name, frame, shape of the grid (n,) to (n1, n2, n3), and points.
 
     points(begin, end) gives the points (end - begin, 3) in the frame of the set, last index of the
-    grid fastest. parameters: what describes the grid in the result.
+    grid fastest. parameters: what describes the grid in the result. body: whose frame it is, of
+    several.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Targets:
     shape: tuple[int, ...]
     points: Callable[[int, int], Array]
     parameters: dict[str, Array]
+    body: int | None = None
 
     @property
     def size(self) -> int:
@@ -38,6 +40,8 @@ class Targets:
 
     def in_space(self, begin: int, end: int, position: Array, rotation: Array) -> Array:
         """Points (end - begin, 3) in space, see `in_space`."""
+        if self.body is not None:
+            position, rotation = position[self.body], rotation[self.body]
         return in_space(self.points(begin, end), self.frame, position, rotation)
 
 
@@ -56,7 +60,10 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
     if section.box is not None:
         found.append(_box(section.box))
     if section.shells is not None:
-        found.append(_shells(section.shells, loaded.case.body.outline))
+        several = loaded.case.bodies is not None
+        for number, body in enumerate(loaded.case.members if several else [loaded.case.body]):
+            of = number if several else None
+            found.append(_shells(section.shells, body.outline, getattr(body, "size", 1.0), of))
     if section.points is not None:
         found.append(_listed(loaded, section.points))
     return found
@@ -144,7 +151,7 @@ def surface_angles(shape: tuple[int, int]) -> tuple[Array, Array]:
     return theta, 2.0 * np.pi * np.arange(n_phi) / n_phi
 
 
-def _shells(shells: Shells, shape: Revolution) -> Targets:
+def _shells(shells: Shells, shape: Revolution, length: float, body: int | None) -> Targets:
     theta, phi = surface_angles(shells.shape)
     distances = np.array(shells.distances)
     size = (len(distances), *shells.shape)
@@ -152,10 +159,11 @@ def _shells(shells: Shells, shape: Revolution) -> Targets:
     def points(begin: int, end: int) -> Array:
         d, i, j = np.unravel_index(np.arange(begin, end), size)
         foot, normal = shape.surface(theta[i], phi[j]), shape.normal(theta[i], phi[j])
-        return foot + distances[d][:, None] * normal
+        return length * foot + distances[d][:, None] * normal
 
     parameters = {"distance": distances, "theta": theta, "phi": phi}
-    return Targets("shells", "body", size, points, parameters)
+    name = "shells" if body is None else f"shells_{body + 1}"
+    return Targets(name, "body", size, points, parameters, body)
 
 
 def _listed(loaded: LoadedCase, section: Points) -> Targets:

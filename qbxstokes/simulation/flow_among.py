@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from qbxstokes.bie.exterior import INSIDE, TABLE
 from qbxstokes.bie.field import USUAL, in_blocks, on_surface, sizes
 from qbxstokes.flows import Flow
+from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
+from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.qbx.exterior import SURFACE_MARGIN
 from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.grid_choice import MOST_NODES
@@ -55,6 +57,22 @@ class FlowAmong:
         if self.problem.wall is not None:
             scale = max(body.size for body in self.problem.bodies)
             found |= self.problem.wall.height(points) < -SURFACE_MARGIN * scale
+        return found
+
+    def carrying(self, points: Array, tolerance: float = 0.0) -> Array:
+        """Velocity (N, 3) at points of all space: that of the bodies in them, of the wall behind.
+
+        Continuous, so that a point which rounding puts into a body goes with it.
+        """
+        found = self.evaluate(points, ("velocity",), tolerance)["velocity"]
+        solution, wall = self.solution, self.problem.wall
+        for b, body in enumerate(self.problem.bodies):
+            here = body.shape.level(body.to_body(points)) < 1.0
+            arms = points[here] - body.position
+            spin = np.cross(solution.angular_velocity[b], arms)
+            found[here] = solution.velocity[b] + spin
+        if wall is not None:
+            found[wall.height(points) < 0.0] = wall.velocity
         return found
 
     def evaluate(
@@ -273,6 +291,7 @@ class AmongBodies:
         scene.suspension.tolerance = min(scene.suspension.tolerance, tolerance)
         self.flow = scene.flow
         self._latest: tuple[Instant, FlowAmong] | None = None
+        self._nodes: list[int] | None = None
 
     check = "coarser grids"
 
@@ -294,6 +313,8 @@ class AmongBodies:
         q, tolerance = np.reshape(instant.quaternion, (-1, 4)), suspension.tolerance
         places = suspension.placed(x, q)
         nodes = suspension.grids(places, self.flow, instant.time, clipped=True)
+        if self._nodes is not None:
+            nodes = np.maximum(nodes, self._nodes).tolist()
         while True:
             solution = self._solved(instant, x, q, nodes)
             found = FlowAmong(solution, self.flow, instant.time, self.scene.shaped)
@@ -304,6 +325,21 @@ class AmongBodies:
                 slip = min(float(found.slips[b]), 0.1)
                 more = max(2, math.ceil(nodes[b] * math.log(slip / tolerance) / -math.log(slip)))
                 nodes[b] = min(nodes[b] + more + more % 2, MOST_NODES)
+
+    def moving(self, equations: Any, t: float, y: Array) -> tuple[Array, FlowAmong]:
+        """dy/dt of the states y (N, n_state) of a motion, and the flow then: one after the other.
+
+        What the slip asked of the grids before is asked from the beginning.
+        """
+        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
+        motion = () if equations.massless else equations.velocities(t, y)
+        found = self._resolved(Instant(t, x, q, *motion))
+        if equations.massless:
+            equations.know(t, y, (found.solution.velocity, found.solution.angular_velocity))
+        self._nodes = found.solution.nodes
+        out = np.empty(y.T.shape)
+        equations.rates(t, y.T, out)
+        return out.T, found
 
     def _solved(self, instant: Instant, x: Array, q: Array, nodes: list[int]) -> Solution:
         scene, t = self.scene, instant.time
