@@ -130,6 +130,19 @@ def test_curved_and_singular_flows_change_as_the_same_functions() -> None:
     assert one.degree is None
 
 
+def test_stresslets_and_fields_know_flows_that_change() -> None:
+    body, place = qs.Body(0.4), {"position": [0.1, 0.2, 0], "orientation": AXIS, "t": 0.7}
+    one = qs.flow("shear", rate="cos(t)")
+    two = qs.flow("shear", rate=float(np.cos(0.7)))
+    assert np.allclose(body.stresslet(one, **place), body.stresslet(two, **place), atol=1e-12)
+    points = np.array([[2.0, 1.0, 1.0]])
+    found = [body.field(flow, points, **place)["velocity"] for flow in (one, two)]
+    assert np.allclose(*found, atol=1e-12)
+    motion = body.integrate(one, [0.7], orientation=AXIS, tolerance=1e-8)
+    exact = body.stresslet(two, orientation=motion.axis[-1])
+    assert np.allclose(motion.stresslet[-1], exact, atol=1e-6)
+
+
 def test_a_case_reads_series_of_numbers(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "rate.csv", np.column_stack([TIMES, np.cos(TIMES)]), delimiter=",")
     (tmp_path / "own.py").write_text("import math\ndef rate(t):\n    return math.cos(t)\n")

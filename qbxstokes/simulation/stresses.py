@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stresslet
 from qbxstokes.flows import Flow
-from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.geometry.symmetric import components
@@ -96,11 +96,10 @@ class FreeStress:
 
     def __init__(self, body: FormedBody, flow: Flow, stresslet: Stresslet) -> None:
         self.stresslet, self._flow, axes = stresslet, flow, body.shape.semi_axes
-        self._polynomial: PolynomialFlow | None = None
+        self._grid: GridStress | None = None
         # Third derivatives enter by the volume average of an ellipsoid.
         if flow.degree is not None and flow.degree <= (2 if axes is None else 3):
             self._k = 1.0 if axes is None else axes[0]
-            self._polynomial = flow.polynomial
         else:
             self._grid = GridStress(stresslet, flow, _FLOW_SHARE * body.tolerance)
 
@@ -110,9 +109,11 @@ class FreeStress:
 
     def __call__(self, t: float, x: Array, q: Array, axis: Array) -> Array:
         """S (n, 6) in space at positions x (n, 3), quaternions q (n, 4), axes (n, 3)."""
-        if self._polynomial is None:
+        if self._grid is not None:
             return components(self._grid.stresslet(t, x, q))
-        strain = mean_strain(self._polynomial, x, axis, self._k)
+        flow = self._flow.at(t) if isinstance(self._flow, ChangingFlow) else self._flow.polynomial
+        assert flow is not None
+        strain = mean_strain(flow, x, axis, self._k)
         return stresslets(self.stresslet.numbers, axis, strain).T
 
 
