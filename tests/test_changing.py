@@ -46,8 +46,14 @@ def test_pieces_are_the_function_and_end_where_it_does() -> None:
     ended = sampled(lambda s: np.sqrt(1e-3 + 9.0 - s) if s < 9.0 else 1 / 0)
     assert 8.999 < ended.edges[-1] <= 9.0
     assert "division" in str(ended.refusal)
+    long = sampled(np.cos, end=2e4)
+    t = np.linspace(0.0, 2e4, 1001)
+    assert long.edges[-1] == 2e4
+    later = t[t >= long.edges[0]]
+    assert np.abs(long.many(later)[:, 0] - np.cos(later)).max() < 1e-8
     with pytest.warns(SinglePrecisionWarning, match="rough in time"):
         rough = sampled(lambda s: np.float32(np.sin(s)), accuracy=1e-12)
+    t = np.linspace(0.0, 10.0, 2001)
     assert np.abs(rough.many(t)[:, 0] - np.sin(t)).max() < 1e-6
 
 

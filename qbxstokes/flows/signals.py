@@ -31,9 +31,9 @@ _TO_POWERS = _POWERS.T @ _COEFFICIENTS
 # What rounding leaves of coefficients, relative to the numbers, and of what counts as noise.
 _ROUNDING, _NOISE = 2e-15, SINGLE
 # Halvings of a piece, and pieces of a window, at most; pieces asked for at a time.
-_HALVINGS, _MOST, _WINDOW = 45, 10_000, 64
+_HALVINGS, _MOST, _WINDOW = 45, 20_000, 64
 # Numbers of samples taken up at a time, and of coefficients that are kept.
-_SAMPLES, _KEPT = 10_000, 5_000_000
+_SAMPLES, _KEPT = 100_000, 500_000
 # Halvings within which noise is the function's, and beyond which it is that of the instants.
 _ROUGH = 10
 NO_BOUND = "the rates of change grow without bound"
@@ -236,6 +236,8 @@ class Sampled:
 
     def _extend(self, begin: float) -> None:
         """One more window; those that are over by `begin` are passed over."""
+        if self._exact is None and not self.asked:
+            self._divide()
         cuts, size = self._cuts, self._size
         while self._next + size < len(cuts) - 1 and cuts[self._next + size] <= begin:
             self._next += size
@@ -261,6 +263,14 @@ class Sampled:
             for a, b in zip(old, new, strict=True)
         )
         self.origins, self.scales, self.coefficients = joined
+
+    def _divide(self) -> None:
+        """Divide all intervals where the first one takes many pieces: windows stay small."""
+        ends, *_ = self._halved(self._cuts[:1], self._cuts[1:2])
+        self.refusal = None  # told when a motion comes to it
+        shares = np.arange(max(1, len(ends) // 8)) / max(1, len(ends) // 8)
+        cuts = self._cuts[:-1, None] + np.diff(self._cuts)[:, None] * shares
+        self._cuts = np.append(cuts.ravel(), self.end)
 
     def _halved(self, first: Array, last: Array) -> tuple[Array, ...]:
         """Ends, origins, scales and coefficients of the pieces that intervals take."""
