@@ -115,6 +115,7 @@ def general_rates(
 def operations(equations: RigidBodyEquations, monkeypatch: pytest.MonkeyPatch) -> int:
     """How many additions, multiplications and so on a right-hand side takes."""
     sources: list[str] = []
+    monkeypatch.setattr(tracing, "_KNOWN", {})
     monkeypatch.setattr(
         tracing,
         "compile",
