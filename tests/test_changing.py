@@ -174,6 +174,7 @@ def test_a_case_reads_series_of_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
+        ({"type": "shear", "rate": "t", "trajectory": 1}, "without a series of gradients"),
         ({"type": "shear", "rate": "cos(x)"}, "rate must be a finite number or an expression in t"),
         ({"type": "shear", "rate": Series(TIMES, np.ones((241, 2)))}, "2 numbers in its series"),
         ({"type": "shear", "rate": {"times": [0, 1], "value": [0, 1]}}, "no key 'value'"),

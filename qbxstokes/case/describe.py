@@ -41,10 +41,16 @@ def keys_page() -> str:
     lines = [*_INTRODUCTION.splitlines()]
     for section, entries in rows.items():
         lines += ["", f"## {section}", "", "```text", *entries, "```"]
-    lines += ["", "## The flows: what flow.type may be", "", "```text"]
+    from qbxstokes.flows import REGISTRY
+
+    lines += ["", "## The flows: what flow.type may be", ""]
+    lines += ["Numbers of keys marked ~ may change in time, and the flow then has the keys"]
+    lines += ["`longest_step` and `breaks` ([flows](flows.md)).", "", "```text"]
     for name, parameters, summary in flows():
+        marks = {key: f"{key}~" for key in REGISTRY[name].linear_in}
         listed = "  ".join(
-            key if default is inspect.Parameter.empty else f"{key}: {json.dumps(default)}"
+            marks.get(key, key)
+            + ("" if default is inspect.Parameter.empty else f": {json.dumps(default)}")
             for key, default in parameters.items()
         )
         lines += textwrap.wrap(f"{name}  {listed}", _WIDTH, subsequent_indent="    ")

@@ -210,6 +210,10 @@ def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> Changin
         for row in np.eye(size):
             numbers = {**rest, key: filled(row.tolist())}
             units.append(kind.unchecked(numbers, build))
+    if given.get("trajectory") is not None and not any(
+        isinstance(part.source, GradientSeries) for part in parts
+    ):
+        raise FlowError("trajectory has no meaning without a series of gradients", ("trajectory",))
     steady = {key: spec[key] for key in kind.linear_in if key in spec and key not in changing}
     still = kind.unchecked({**rest, **steady}, build) if steady else None
     return ChangingFlow(Signal(parts), units, still, {"type": kind.type_name, **given})
