@@ -8,12 +8,10 @@ Run:      python cases/benchmarks/batch.py      (1 min; --small: 3 s; --csv)
 Expected: blocks of 1024 over 200 times as fast as the loop.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 from numpy.typing import NDArray
 from step import SHAPE, K, closed_form
 
@@ -27,11 +25,11 @@ TOLERANCE = 1e-8
 LOOPED = 8  # trajectories that SciPy integrates one after the other
 
 
-def scipy_loop(starts: Array, end: float, rtol: float) -> tuple[Array, float]:
+def scipy_loop(starts, end, rtol):
     """Final axes (n, 3), and right-hand sides of a trajectory."""
     from scipy.integrate import solve_ivp
 
-    def rate(t: float, y: Array) -> tuple[float, ...]:
+    def rate(t, y):
         return closed_form(y.tolist(), SHAPE)
 
     runs = [
@@ -42,7 +40,7 @@ def scipy_loop(starts: Array, end: float, rtol: float) -> tuple[Array, float]:
     return axes, float(np.mean([run.nfev for run in runs]))
 
 
-def blocks(sizes: tuple[int, ...], repeats: int, quaternions: Array) -> Rows:
+def blocks(sizes, repeats, quaternions):
     """A row per size."""
     times, rows = np.array([0.0, jeffery.period(K)]), []
     body = qs.Body(K, tolerance=1e-12)
@@ -63,10 +61,10 @@ def blocks(sizes: tuple[int, ...], repeats: int, quaternions: Array) -> Rows:
     return rows
 
 
-def loops(quaternions: Array, repeats: int, least: float) -> Rows:
+def loops(quaternions, repeats, least):
     """A row per tolerance of SciPy, until its error is the least that is wanted."""
     starts = np.concatenate([np.zeros((LOOPED, 3)), quaternions[:LOOPED]], axis=1)
-    rows: Rows = []
+    rows = []
     for rtol in (10.0 ** np.arange(-6.0, -13.0, -0.5)).tolist():
         go = partial(scipy_loop, starts, jeffery.period(K), rtol)
         span, (axes, evaluations) = timed(go, repeats)
@@ -79,7 +77,8 @@ def loops(quaternions: Array, repeats: int, least: float) -> Rows:
     return rows
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """Trajectories and right-hand sides per second, at equal error."""
     repeats, sizes = (1, (1, 256)) if small else (5, (1, 4, 16, 64, 256, 1024, 4096, 16384))
     quaternions = rotation.random_quaternions(max(sizes), np.random.default_rng(0))
@@ -91,7 +90,3 @@ def main(small: bool = False) -> dict[str, Rows]:
     used = {row["rival"] for row in rows}
     kept = [loop | {"rival": None, "ratio": 1.0} for loop in scipy if loop["method"] in used]
     return {"batch": [*kept, *rows]}
-
-
-if __name__ == "__main__":
-    command(main)

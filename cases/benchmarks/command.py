@@ -6,19 +6,16 @@ Run:      python cases/benchmarks/command.py      (1 min; --small: 5 s; --csv)
 Expected: the first case within 1.4 times the bare imports.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
 
-from measure import Rows, command, turns
+from measure import command, turns
 
 ROOT = Path(__file__).resolve().parents[2]
 IMPORTS = (
@@ -27,7 +24,7 @@ IMPORTS = (
 )
 
 
-def run(words: Sequence[str], folder: Path) -> tuple[float, str]:
+def run(words, folder):
     """Wall time (s) and output of a process; raises CalledProcessError where it fails."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     own = {"QBXSTOKES_CACHE": str(folder / "cache"), "PYTHONPATH": os.pathsep.join(paths)}
@@ -38,7 +35,8 @@ def run(words: Sequence[str], folder: Path) -> tuple[float, str]:
     return time.perf_counter() - begin, done.stdout
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """The command for three Jeffery periods, and what it consists of."""
     case = str(ROOT / "cases" / "jeffery_prolate.yaml")
     program = [sys.executable, "-m", "qbxstokes"]
@@ -54,14 +52,10 @@ def main(small: bool = False) -> dict[str, Rows]:
         actions = {n: partial(run, words, Path(name)) for n, words in commands.items()}
         actions["a run"]()
         ended = turns(actions, 1 if small else 5)
-    rows: Rows = []
+    rows = []
     for name, processes in ended.items():
         span = median(span for span, _ in processes)
         rows.append(
             {"command": name, "time": span, "ratio": span / (rows or [{"time": span}])[0]["time"]}
         )
     return {"command": rows}
-
-
-if __name__ == "__main__":
-    command(main)

@@ -10,20 +10,16 @@ Expected: errors of a million points below every tolerance; a point costs a micr
           distance by the table of harmonics, and near the surface plain upsampling cannot follow.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import choose_scheme
-from qbxstokes.bie.field import Disturbance, mobility_disturbance, resistance_disturbance
+from qbxstokes.bie.field import mobility_disturbance, resistance_disturbance
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.panels import uniform_rule
@@ -38,7 +34,7 @@ NODES = 8  # along a meridian
 USUAL = ("velocity", "pressure", "stress")
 
 
-def translating(k: float, tolerance: float, problem: str) -> Disturbance:
+def translating(k, tolerance, problem):
     """The flow around the body in fluid at rest."""
     operators = surface_operators(Spheroid(k), choose_scheme(tolerance, NODES), 6)
     if problem == "resistance":
@@ -48,7 +44,7 @@ def translating(k: float, tolerance: float, problem: str) -> Disturbance:
     return mobility_disturbance(operators, np.zeros_like, force, degree=0)
 
 
-def scattered(k: float, count: int) -> Array:
+def scattered(k, count):
     """Points (count, 3) outside: a tenth on the surface, the rest at 1e-12 to 10 body lengths."""
     rng = np.random.default_rng(0)
     theta, phi = np.arccos(rng.uniform(-1, 1, count)), rng.uniform(0, 2 * np.pi, count)
@@ -58,9 +54,9 @@ def scattered(k: float, count: int) -> Array:
     return body.surface(theta, phi) + distance[:, None] * body.normal(theta, phi)
 
 
-def accuracy(ratios: tuple[float, ...], tolerances: tuple[float, ...], targets: int) -> Rows:
+def accuracy(ratios, tolerances, targets):
     """Largest error over the points, and the time of set-up and all points."""
-    rows: Rows = []
+    rows = []
     for k, problem, tolerance in product(ratios, ("resistance", "mobility"), tolerances):
         points = scattered(k, targets)
         exact = translating_flow(k, points, VELOCITY)[0]
@@ -73,15 +69,15 @@ def accuracy(ratios: tuple[float, ...], tolerances: tuple[float, ...], targets: 
     return rows
 
 
-def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...]) -> Rows:
+def costs(k, distances, tolerances):
     """Microseconds per point by the table, by the quadrature for its distance, and by plain."""
-    rows: Rows = []
+    rows = []
     rng, spheroid = np.random.default_rng(0), Spheroid(k)
     theta, phi = np.arccos(rng.uniform(-1, 1, 512)), rng.uniform(0, 2 * np.pi, 512)
     body = translating(k, 1e-12, "resistance")
     table, potentials = body.table, body.potentials
 
-    def cost(function: Callable[..., Any], *more: Any) -> float:
+    def cost(function, *more):
         return 1e6 * timed(partial(function, points, *more), 5)[0] / len(points)
 
     for distance, tolerance in product(distances, tolerances):
@@ -103,7 +99,8 @@ def costs(k: float, distances: tuple[float, ...], tolerances: tuple[float, ...])
     return rows
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """Both tables."""
     ratios = (0.5,) if small else (1 / 20, 1 / 2, 2.0, 20.0)
     tolerances = (1e-8,) if small else (1e-6, 1e-8, 1e-10)
@@ -113,7 +110,3 @@ def main(small: bool = False) -> dict[str, Rows]:
         "field_accuracy": accuracy(ratios, tolerances, 2000 if small else 1_000_000),
         "field_costs": costs(0.5, distances, tolerances),
     }
-
-
-if __name__ == "__main__":
-    command(main)

@@ -9,16 +9,14 @@ Run:      python cases/benchmarks/honesty.py      (3 min; --small: 10 s; --csv)
 Expected: no tolerance missed; estimates mostly within a factor of 100 of the error.
 """
 
-from __future__ import annotations
-
 import numpy as np
-from measure import Rows, command
+from measure import command
 from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import accurate_body
 from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.resolution import flow_nodes, resolving_nodes
-from qbxstokes.flows import Flow, PolynomialFlow
+from qbxstokes.flows import PolynomialFlow
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
@@ -32,7 +30,7 @@ SHARE = 0.1
 ORDER = 150  # of the quadrature in the exact laws
 
 
-def random_sample(rng: np.random.Generator, extreme: float = 50.0) -> tuple[float, Array, Flow]:
+def random_sample(rng, extreme=50.0):
     """Aspect ratio, orientation (a quaternion) and flow about the body at the origin."""
     k = float(extreme ** rng.uniform(-1.0, 1.0))
     q = rotation.random_quaternions(1, rng)[0]
@@ -54,11 +52,11 @@ def random_sample(rng: np.random.Generator, extreme: float = 50.0) -> tuple[floa
     return k, q, (Stokeslet, Rotlet)[kind](rng.normal(size=3), place)
 
 
-def examine(k: float, q: Array, flow: Flow, tolerance: float) -> tuple[float, float]:
+def examine(k, q, flow, tolerance):
     """True error and estimate of free motion, force and torque, all in the body frame."""
     body, turn = accurate_body(Spheroid(k), tolerance, degree=flow.degree or 3), rotation.matrix(q)
 
-    def velocity(points: Array) -> Array:
+    def velocity(points):
         return flow.velocity(points @ turn.T) @ turn
 
     n_theta, n_phi, left = body.functional.grid.n_theta, 8, 0.0
@@ -78,7 +76,8 @@ def examine(k: float, q: Array, flow: Flow, tolerance: float) -> tuple[float, fl
     return float(errors.max()), body.model.error_estimate + left
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """A row per tolerance."""
     rng, rows = np.random.default_rng(1), []
     samples = [random_sample(rng) for _ in range(12 if small else 200)]
@@ -96,7 +95,3 @@ def main(small: bool = False) -> dict[str, Rows]:
             }
         )
     return {"honesty": rows}
-
-
-if __name__ == "__main__":
-    command(main)

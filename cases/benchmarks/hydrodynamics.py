@@ -11,20 +11,17 @@ Expected: uniform 50 to 150 times slower where it is at its best, a few times wh
           without; true residuals within ten times the tolerance, or eps times the condition number.
 """
 
-from __future__ import annotations
-
 import time
 from functools import partial
-from typing import Any
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 
 from qbxstokes.bie.accuracy import choose_scheme, plain_body
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.petsc import session
-from qbxstokes.qbx.operator import Scheme, UniformScheme
+from qbxstokes.qbx.operator import UniformScheme
 from qbxstokes.simulation.closed_forms import true_error
 
 # Aspect ratio, n_theta, order, r/h, upsampling.
@@ -38,7 +35,7 @@ UNIFORM = (
 RATIOS = (0.1, 2.0, 0.02, 0.05, 0.2, 0.5, 1.0, 5.0, 10.0, 20.0, 50.0)
 
 
-def solved(operators: Any, problem: str, data: Any, tolerance: float, better: bool) -> Any:
+def solved(operators, problem, data, tolerance, better):
     """Iterations and residual of a solve, with the preconditioner or without."""
     from qbxstokes.petsc.gmres import GmresSolver
 
@@ -47,7 +44,7 @@ def solved(operators: Any, problem: str, data: Any, tolerance: float, better: bo
     return solver.records[-1]
 
 
-def formed(k: float, scheme: Scheme, repeats: int) -> dict[str, Any]:
+def formed(k, scheme, repeats):
     """Error, time and iterations of GMRES to 1e-10, without preconditioner, of one body."""
     span, body = timed(partial(plain_body, Spheroid(k), scheme), repeats, time.thread_time)
     operators = surface_operators(Spheroid(k), scheme, 3)
@@ -56,9 +53,9 @@ def formed(k: float, scheme: Scheme, repeats: int) -> dict[str, Any]:
     return {"error": true_error(body.model), "time": span, "iterations": record.iterations}
 
 
-def schemes(cases: tuple[tuple[float, int, int, float, int], ...], repeats: int) -> Rows:
+def schemes(cases, repeats):
     """A row per uniform scheme, with the graded one beside it."""
-    rows: Rows = []
+    rows = []
     for k, n, order, r_over_h, kappa in cases:
         row = {"k": k, "n_theta": n, "p": order, "r/h": r_over_h, "kappa": kappa}
         uniform = formed(k, UniformScheme(n, n, order, r_over_h, kappa), min(3, repeats))
@@ -68,9 +65,9 @@ def schemes(cases: tuple[tuple[float, int, int, float, int], ...], repeats: int)
     return rows
 
 
-def iterations(ratios: tuple[float, ...]) -> Rows:
+def iterations(ratios):
     """A row per aspect ratio and problem."""
-    rows: Rows = []
+    rows = []
     for k in ratios:
         operators = surface_operators(Spheroid(k), choose_scheme(1e-12, 10), 9)
         x = operators.grid.points / max(1.0, k)
@@ -86,13 +83,10 @@ def iterations(ratios: tuple[float, ...]) -> Rows:
     return rows
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """Both tables."""
     session.start([])
     compared = schemes(UNIFORM[:1], 1) if small else schemes(UNIFORM, 5)
     ratios = RATIOS[:2] if small else tuple(sorted(RATIOS))
     return {"schemes": compared, "iterations": iterations(ratios)}
-
-
-if __name__ == "__main__":
-    command(main)

@@ -8,12 +8,10 @@ Run:      python cases/benchmarks/integrators.py      (5 min; --small: 3 s; --cs
 Expected: the method that is taken errs by at most ten times the tolerance and is near the cheapest.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 
 from qbxstokes.flows.named import Shear
 from qbxstokes.geometry import rotation
@@ -31,7 +29,7 @@ MOST_EVALUATIONS = 50_000
 AXIS = np.array([0.48, 0.6, 0.64])
 
 
-def orbit(name: str, periods: int, small: bool) -> Rows:
+def orbit(name, periods, small):
     """A row per method and tolerance."""
     from qbxstokes.petsc.stepper import integrate
 
@@ -45,7 +43,7 @@ def orbit(name: str, periods: int, small: bool) -> Rows:
         exact = rotation.axis(inertial.linear_flow(*scene, start[0, 10:13]).orientation[1])
     tolerances = (1e-6, 1e-10) if small else (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
     taken = {to: integrate(equations, start, times, to).checkpoint.method for to in tolerances}
-    rows: Rows = []
+    rows = []
     for method in METHODS[: 2 if small else None]:
         evaluations = 0
         for tolerance in tolerances:
@@ -62,12 +60,9 @@ def orbit(name: str, periods: int, small: bool) -> Rows:
     return rows
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """A table per orbit."""
     session.start([])
     chosen = list(ORBITS)[: 2 if small else None]
     return {f"integrators_{name}": orbit(name, 1 if small else 10, small) for name in chosen}
-
-
-if __name__ == "__main__":
-    command(main)

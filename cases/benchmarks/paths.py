@@ -8,8 +8,6 @@ Expected: `same` 1 in every row; at most 300 MB a rank; a result below 5 MB. "us
           times ranks for a path and sample.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -18,11 +16,10 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
-from measure import Rows, command
+from measure import command
 
 import qbxstokes as qs
 
@@ -30,7 +27,7 @@ SAMPLES, END = 1001, 20.0
 FREQUENCY = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
 
 
-def make(file: Path, paths: int) -> None:
+def make(file, paths):
     """Gradients of five cosines along each path, [time, trajectory], 256 paths at a time."""
     times, rng = np.linspace(0.0, END, SAMPLES), np.random.default_rng(1)
     with h5py.File(file, "w") as out:
@@ -45,7 +42,8 @@ def make(file: Path, paths: int) -> None:
             data[first : first + n] = waves @ amplitude.astype(np.float32)
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """The table."""
     paths = 2_000 if small else 100_000
     rows = []
@@ -61,13 +59,13 @@ def main(small: bool = False) -> dict[str, Rows]:
             "sweep": {"axes": [{"flow.trajectory": "all"}], "store": "statistics"},
         }
         (folder / "case.json").write_text(json.dumps(case))
-        first: Any = None
+        first = None
         qs.ensemble(qs.Body(0.2), qs.GradientSeries.gaussian(paths=8, end=2.0))  # compiles
         for ranks, killed in ((2, False), (1, False), (3, False), (2, True)):
             result = folder / f"{ranks}{'_killed' * killed}.h5"
             begin = time.perf_counter()
-            run = [*_mpirun(ranks), "-m", "qbxstokes", "case.json", "--quiet", "--set"]
-            run.append(f"output.file={result.name}")
+            run = f"mpirun -n {ranks} --oversubscribe {sys.executable} -m qbxstokes case.json"
+            run = [*run.split(), "--quiet", "--set", f"output.file={result.name}"]
             if killed:
                 with subprocess.Popen(run, cwd=folder, start_new_session=True) as process:
                     time.sleep(0.5 * rows[0]["s"])
@@ -80,23 +78,8 @@ def main(small: bool = False) -> dict[str, Rows]:
             found = qs.load(result)
             first = first or found
             same = all(np.array_equal(found[n], first[n], equal_nan=True) for n in first.names)
-            rows.append(
-                {
-                    "ranks": ranks,
-                    "killed": int(killed),
-                    "s": spent,
-                    "us": 1e6 * spent * ranks / (paths * SAMPLES),
-                    "same": int(same),
-                    "MB_a_rank": use.ru_maxrss / 1024,
-                    "result_MB": result.stat().st_size / 1e6,
-                }
-            )
+            row = {"ranks": ranks, "killed": int(killed), "s": spent, "same": int(same)}
+            row["us"] = 1e6 * spent * ranks / (paths * SAMPLES)
+            row |= {"MB_a_rank": use.ru_maxrss / 1024, "result_MB": result.stat().st_size / 1e6}
+            rows.append(row)
     return {"paths": rows}
-
-
-def _mpirun(ranks: int) -> list[str]:
-    return ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable]
-
-
-if __name__ == "__main__":
-    command(main)

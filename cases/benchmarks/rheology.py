@@ -11,13 +11,10 @@ Expected: stresslet at most 10 %, particle stress at most 16 % without mass and 
           three estimates; 500 to 900 ns.
 """
 
-from __future__ import annotations
-
 import time
-from typing import Any
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 
 import qbxstokes as qs
 from qbxstokes.simulation.rheology import linear_flow, particle_of
@@ -27,7 +24,7 @@ FLOWS = {"shear": qs.flow("shear"), "paraboloid": qs.flow("paraboloid")}
 FINEST = 230
 
 
-def recording(flow: str, stokes_number: float, lanes: int) -> dict[str, Any]:
+def recording(flow, stokes_number, lanes):
     """Shares (%) of the integration's time."""
     axes = np.random.default_rng(0).standard_normal((lanes, 3))
     body = qs.Body(0.5, stokes_number=stokes_number)
@@ -36,7 +33,7 @@ def recording(flow: str, stokes_number: float, lanes: int) -> dict[str, Any]:
     motion = scene.integrate(np.linspace(0.0, 15.0 * np.pi, 201))
     assembled, states = motion._assembled, motion._states
 
-    def spent(*names: str) -> float:
+    def spent(*names):
         wanted = ("torque", *names)
         return timed(lambda: assembled.observe(motion.time, states, wanted), 9, time.thread_time)[0]
 
@@ -48,7 +45,7 @@ def recording(flow: str, stokes_number: float, lanes: int) -> dict[str, Any]:
     return row
 
 
-def density(k: float, number: float, flow: qs.Flow, name: str) -> dict[str, Any]:
+def density(k, number, flow, name):
     """Time, degree and error of one steady density."""
     body = qs.Body(k)
     particle, _ = particle_of(body)
@@ -65,7 +62,7 @@ def density(k: float, number: float, flow: qs.Flow, name: str) -> dict[str, Any]
     }
 
 
-def general(k: float, number: float, count: int) -> dict[str, Any]:
+def general(k, number, count):
     """The slowest of some random flows, with the largest error and what it says of that one."""
     rows = []
     for seed in range(count):
@@ -78,16 +75,17 @@ def general(k: float, number: float, count: int) -> dict[str, Any]:
     return {**worst, "seconds": slowest["seconds"], "degree": slowest["degree"]}
 
 
-def langevin(trajectories: int) -> dict[str, Any]:
+def langevin(trajectories):
     """Time of a step of one axis."""
-    keys: dict[str, Any] = {"trajectories": trajectories, "strain": 5.0, "step": 0.05}
+    keys = {"trajectories": trajectories, "strain": 5.0, "step": 0.05}
     body, shear = qs.Body(0.2), FLOWS["shear"]
     seconds, _ = timed(lambda: qs.langevin(body, shear, 10.0, **keys), 3, time.thread_time)
     steps = (5.0 + 5.0) / 0.05
     return {"trajectories": trajectories, "ns_per_step": 1e9 * seconds / steps / trajectories}
 
 
-def main(small: bool) -> dict[str, Rows]:
+@command
+def main(small):
     """Three tables."""
     lanes = (64,) if small else (1, 64, 512)
     inertia = (0.0,) if small else (0.0, 5.0)
@@ -104,7 +102,3 @@ def main(small: bool) -> dict[str, Rows]:
         ],
         "langevin": [langevin(1024)] + ([] if small else [langevin(8192)]),
     }
-
-
-if __name__ == "__main__":
-    command(main)

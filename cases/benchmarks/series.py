@@ -14,14 +14,12 @@ Expected: errors within the tolerance. A single motion takes 2 ms where the scri
           more, on fewer samples.
 """
 
-from __future__ import annotations
-
 import time
-from typing import Any
+from functools import partial
 
 import numba
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 from scipy.integrate._ivp import dop853_coefficients as dop853
 
 import qbxstokes as qs
@@ -37,7 +35,7 @@ E5 = dop853.E5[:12].copy()
 
 
 @numba.njit(error_model="numpy", cache=True)
-def rate(t: float, p: Any, amplitude: Any, frequency: Any, out: Any) -> None:
+def rate(t, p, amplitude, frequency, out):
     """dp/dt of Jeffery's equation."""
     a = np.zeros((3, 3))
     for n in range(len(frequency)):
@@ -56,7 +54,7 @@ def rate(t: float, p: Any, amplitude: Any, frequency: Any, out: Any) -> None:
 
 
 @numba.njit(error_model="numpy", cache=True)
-def follow(p: Any, amplitude: Any, frequency: Any, end: float, tolerance: float) -> Any:
+def follow(p, amplitude, frequency, end, tolerance):
     """The axis at the end, by DOP853 with steps of its own."""
     t, h = 0.0, 0.1
     k, y = np.zeros((12, 3)), np.zeros(3)
@@ -83,64 +81,62 @@ def follow(p: Any, amplitude: Any, frequency: Any, end: float, tolerance: float)
     return p
 
 
-def gradients(seed: int) -> Any:
+def gradients(seed):
     """Amplitudes (5, 3, 3), traceless."""
     a = 0.25 * np.random.default_rng(seed).normal(size=(5, 3, 3))
     return a - np.trace(a, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
 
 
-def main(small: bool = False) -> dict[str, Rows]:
-    """The tables."""
-    repeats = 3 if small else 9
-    amplitude = gradients(3)
-
-    def gradient(t: float) -> Any:
-        return np.einsum("n,nij->ij", np.cos(FREQUENCY * t + 1.0), amplitude)
-
-    times = np.linspace(0.0, END, SAMPLES)
-    text = [
-        [
-            " + ".join(
-                f"({a[i, j]:.17g})*cos({f}*t + 1)"
-                for a, f in zip(amplitude, FREQUENCY, strict=True)
-            )
-            for j in range(3)
-        ]
-        for i in range(3)
-    ]
-    given = {
-        "callable": gradient,
-        "expression": text,
-        "series": qs.GradientSeries(times, [gradient(t) for t in times]),
-    }
-    exact = follow(AXIS.copy(), amplitude, FREQUENCY, END, 1e-13)
-    follow(AXIS.copy(), amplitude, FREQUENCY, END, TOLERANCE)
-    script, found = timed(
-        lambda: [follow(AXIS.copy(), amplitude, FREQUENCY, END, TOLERANCE) for _ in range(100)],
+def scripted(amplitudes, repeats):
+    """Time (s) and the axes at the end of the script that stands beside the program."""
+    return timed(
+        lambda: [follow(AXIS.copy(), a, FREQUENCY, END, TOLERANCE) for a in amplitudes],
         repeats,
         time.thread_time,
     )
-    script /= 100
-    rows = [_row("one body, numba DOP853", script, found[0], exact, None)]
-    body = qs.Body(K)
+
+
+def followed(amplitude, count, repeats):
+    """One body in a gradient given in three ways, and many in one: time, and error at the end."""
+
+    def gradient(t):
+        return np.einsum("n,nij->ij", np.cos(FREQUENCY * t + 1.0), amplitude)
+
+    def row(what, spent, axis, exact, bar):
+        error, bar = float(np.abs(axis - exact).max()), None if bar is None else 1e3 * bar
+        return {"what": what, "ms": 1e3 * spent, "bar_ms": bar, "error": error}
+
+    def moved(what, orientation, repeats):
+        """Time of a motion, and its axes at the end."""
+        flow = qs.flow("linear", gradient=what)
+        scene = qs.Simulation(body, flow, orientation=orientation, tolerance=TOLERANCE).assemble()
+        # One body alone, too: as in any process that has followed some bodies.
+        scene.equations.evaluation = "compiled"
+        scene.motion([END])  # compiles
+        spent, motion = timed(lambda: scene.motion([END]), repeats, time.thread_time)
+        return spent, motion.axis
+
+    def component(i, j):
+        parts = zip(amplitude[:, i, j], FREQUENCY, strict=True)
+        return " + ".join(f"({a:.17g})*cos({f}*t + 1)" for a, f in parts)
+
+    times, body = np.linspace(0.0, END, SAMPLES), qs.Body(K)
+    given = {
+        "callable": gradient,
+        "expression": [[component(i, j) for j in range(3)] for i in range(3)],
+        "series": qs.GradientSeries(times, [gradient(t) for t in times]),
+    }
+    exact = follow(AXIS.copy(), amplitude, FREQUENCY, END, 1e-13)
+    scripted([amplitude], 1)  # compiles
+    spent, found = scripted([amplitude] * 100, repeats)
+    rows = [row("one body, numba DOP853", spent / 100, found[0], exact, None)]
     for name, what in given.items():
-        scene = qs.Simulation(
-            body, qs.flow("linear", gradient=what), orientation=AXIS, tolerance=TOLERANCE
-        ).assemble()
-        scene.equations.evaluation = "compiled"  # as in any process that has followed some bodies
-        scene.motion([END])
-        spent, motion = timed(lambda scene=scene: scene.motion([END]), repeats, time.thread_time)
-        rows.append(_row(f"one body, {name}", spent, motion.axis[-1], exact, 2.0 * script))
-    n = 1000 if small else 10_000
-    axes = np.random.default_rng(1).normal(size=(n, 3))
-    scene = qs.Simulation(
-        body, qs.flow("linear", gradient=gradient), orientation=axes, tolerance=TOLERANCE
-    ).assemble()
-    scene.motion([END])  # compiles
-    spent, motion = timed(lambda: scene.motion([END]), 1, time.thread_time)
-    p = axes[0] / np.linalg.norm(axes[0])
-    p = follow(p, amplitude, FREQUENCY, END, 1e-13)
-    rows.append(_row(f"{n} bodies, callable", spent, motion.axis[0, -1], p, 2e-3))
+        own, axis = moved(what, AXIS, repeats)
+        rows.append(row(f"one body, {name}", own, axis[-1], exact, 2.0 * spent / 100))
+    axes = np.random.default_rng(1).normal(size=(count, 3))
+    exact = follow(axes[0] / np.linalg.norm(axes[0]), amplitude, FREQUENCY, END, 1e-13)
+    spent, axis = moved(gradient, axes, 1)
+    rows.append(row(f"{count} bodies, callable", spent, axis[0, -1], exact, 2e-3))
     flow = qs.flow("linear", gradient=gradient)
     signal = flow.signal
     spent, _ = timed(
@@ -148,73 +144,52 @@ def main(small: bool = False) -> dict[str, Rows]:
     )
     rows.append({"what": "sampling, callable", "ms": 1e3 * spent, "bar_ms": None, "error": None})
     body.axes(flow, [END], axes)
-    spent, found = timed(lambda: body.axes(flow, [END], axes), 3, time.thread_time)
-    rows.append(_row(f"{n} axes, callable", spent, found[0, -1], p, 2e-3))
-    rows.append(_lanes(body, 64))
-    return {"series": rows, "ensemble": _ensemble(256 if small else 2048, repeats)}
-
-
-def _lanes(body: Any, n: int) -> dict[str, Any]:
-    """Bodies that move along series of their own, together."""
-    times = np.linspace(0.0, END, SAMPLES)
-    waves = np.cos(FREQUENCY * times[:, None] + 1.0)
-    amplitudes = [gradients(seed) for seed in range(n)]
-    scenes = [
-        qs.Simulation(
-            body,
-            qs.flow(
-                "linear", gradient=qs.GradientSeries(times, np.einsum("tn,nij->tij", waves, a))
-            ),
-            orientation=AXIS,
-            tolerance=TOLERANCE,
-        )
-        for a in amplitudes
-    ]
-    together = assemble(scenes)
+    spent, axis = timed(lambda: body.axes(flow, [END], axes), 3, time.thread_time)
+    rows.append(row(f"{count} axes, callable", spent, axis[0, -1], exact, 2e-3))
+    # Bodies that move along series of their own, together.
+    _, amplitudes, samples = paths(64)
+    flows = [qs.flow("linear", gradient=qs.GradientSeries(times, one)) for one in samples]
+    keys = {"orientation": AXIS, "tolerance": TOLERANCE}
+    together = assemble([qs.Simulation(body, flow, **keys) for flow in flows])
     together.motion([END])
     spent, motion = timed(lambda: together.motion([END]), 3, time.thread_time)
     exact = follow(AXIS.copy(), amplitudes[0], FREQUENCY, END, 1e-13)
-    return _row(f"{n} bodies, {n} series", spent, motion.axis[0, -1], exact, None)
+    return [*rows, row("64 bodies, 64 series", spent, motion.axis[0, -1], exact, None)]
 
 
-def _row(what: str, spent: float, axis: Any, exact: Any, bar: float | None) -> dict[str, Any]:
-    return {
-        "what": what,
-        "ms": 1e3 * spent,
-        "bar_ms": None if bar is None else 1e3 * bar,
-        "error": float(np.abs(axis - exact).max()),
-    }
-
-
-def _ensemble(paths: int, repeats: int) -> Rows:
-    """Paths with gradients of their own: us a path and sample."""
+def paths(count):
+    """Times, amplitudes and samples (count, T, 3, 3) of gradients."""
     times = np.linspace(0.0, END, SAMPLES)
+    amplitudes = np.array([gradients(seed) for seed in range(count)])
     waves = np.cos(FREQUENCY * times[:, None] + 1.0)
-    amplitudes = np.array([gradients(seed) for seed in range(paths)])
-    samples = np.einsum("tn,pnij->ptij", waves, amplitudes).reshape(paths, SAMPLES, 9)
-    series = qs.GradientSeries(times, samples.astype(np.float32))
-    rows, bodies = [], {0.0: qs.Body(K), 10.0: qs.Body(K, stokes_number=10.0)}
+    return times, amplitudes, np.einsum("tn,pnij->ptij", waves, amplitudes)
+
+
+def ensembles(count, repeats):
+    """Paths with gradients of their own: us a path and sample."""
+    times, amplitudes, samples = paths(count)
+    series = qs.GradientSeries(times, samples.reshape(count, SAMPLES, 9).astype(np.float32))
+    rows = []
     for name, chosen, stokes, bar in (
         ("statistics", {"sampling": False}, 0.0, 0.6),
         ("all", {}, 0.0, 0.6),
         ("statistics, St = 10", {"sampling": False}, 10.0, 2.0),
     ):
-        settings = {**chosen, "quantities": ["tumbling"]}
-
-        def run(settings: dict[str, Any] = settings, body: Any = bodies[stokes]) -> Any:
-            return qs.ensemble(body, series, orientation=AXIS, statistics=settings)
-
+        settings = {"orientation": AXIS, "statistics": {**chosen, "quantities": ["tumbling"]}}
+        run = partial(qs.ensemble, qs.Body(K, stokes_number=stokes), series, **settings)
         run()
         spent, _ = timed(run, repeats, time.thread_time)
-        rows.append({"what": name, "us": 1e6 * spent / (paths * SAMPLES), "bar_us": bar})
-    spent, _ = timed(
-        lambda: [follow(AXIS.copy(), a, FREQUENCY, END, TOLERANCE) for a in amplitudes],
-        repeats,
-        time.thread_time,
-    )
-    rows.append({"what": "numba DOP853", "us": 1e6 * spent / (paths * SAMPLES), "bar_us": None})
+        rows.append({"what": name, "us": 1e6 * spent / (count * SAMPLES), "bar_us": bar})
+    spent, _ = scripted(amplitudes, repeats)
+    rows.append({"what": "numba DOP853", "us": 1e6 * spent / (count * SAMPLES), "bar_us": None})
     return rows
 
 
-if __name__ == "__main__":
-    command(main)
+@command
+def main(small=False):
+    """The tables."""
+    repeats = 3 if small else 9
+    return {
+        "series": followed(gradients(3), 1000 if small else 10_000, repeats),
+        "ensemble": ensembles(256 if small else 2048, repeats),
+    }

@@ -8,20 +8,17 @@ Expected: no change beyond rounding; 1.1 times faster without modes above 1 and 
           right-hand side.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme
 from qbxstokes.bie.faxen import faxen_coefficients
-from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.operators import form_body_model, modal_functional, surface_operators
 from qbxstokes.bie.providers import GridMotion, SolveMotion
 from qbxstokes.flows.named import Shear
@@ -32,7 +29,7 @@ from qbxstokes.motion import fore_aft
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.petsc import session
-from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
+from qbxstokes.qbx.operator import independent_rows, layer_rows
 from qbxstokes.reference import jeffery
 
 Work = Callable[[], Any]
@@ -40,22 +37,22 @@ BLOCK, CALLS = 512, 1000  # bodies of a block, right-hand sides timed together
 Q = rotation.normalize(np.array([[0.8, 0.3, -0.4, 0.33]]))
 
 
-def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
+def set_up_skips(k):
     """Those of the set-up: name, the work without the skip, the work with it."""
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
     both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
     half = independent_rows(spheroid, scheme.n_theta)
 
-    def whole(completion: Any) -> Any:
+    def whole(completion):
         faxen = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
         return np.concatenate([[faxen.linear], faxen.quadratic, faxen.cubic])
 
-    def formed(n_phi: int, used: Scheme) -> Any:
+    def formed(n_phi, used):
         functional = modal_functional(surface_operators(spheroid, used, n_phi))
         coefficients, _ = faxen_coefficients(functional)
         return np.concatenate([coefficients.quadratic, coefficients.cubic])
 
-    def rows(chosen: Any) -> Any:
+    def rows(chosen):
         return layer_rows(spheroid, scheme, 2, chosen)[0][: len(half)]
 
     narrow = partial(formed, 3, scheme)
@@ -66,11 +63,11 @@ def set_up_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
     yield "rows that mirror symmetry gives", partial(rows, every), partial(rows, half)
 
 
-def many(rate: Callable[[float, Any], Any], start: Any) -> Work:
+def many(rate, start):
     """Many right-hand sides of one body."""
     rows = start[0].tolist()
 
-    def calls() -> Any:
+    def calls():
         for _ in range(CALLS):
             result = rate(0.0, rows)
         return np.array(result)
@@ -78,7 +75,7 @@ def many(rate: Callable[[float, Any], Any], start: Any) -> Work:
     return calls
 
 
-def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
+def step_skips(k):
     """Those of a step and of a right-hand side."""
     scheme, x = choose_scheme(1e-10), np.zeros((1, 3))
     operators = surface_operators(Spheroid(k), scheme, 8)
@@ -104,7 +101,7 @@ def step_skips(k: float) -> Iterator[tuple[str, Work, Work]]:
         yield f"translation at a stagnation point, St = {stokes_number:g}", moving, still
 
 
-def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
+def turned(model, stokes_number, stream):
     """Orientations of a block after a period; a stream too slow to count lets the bodies move."""
     from qbxstokes.petsc.stepper import integrate
 
@@ -116,16 +113,17 @@ def turned(model: BodyModel, stokes_number: float, stream: float) -> Any:
     return integrate(block, start, [period], 1e-8).states[-1, :, 3:7]
 
 
-def skips(k: float = 0.5) -> Iterator[tuple[str, Work, Work]]:
+def skips(k=0.5):
     """Name of each skip, the work without it and with it; both give comparable arrays."""
     session.start([])
     yield from set_up_skips(k)
     yield from step_skips(k)
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """A row per skip."""
-    rows: Rows = []
+    rows = []
     for name, full, short in skips():
         slow, before = timed(full, 1 if small else 7, time.thread_time)
         fast, after = timed(short, 1 if small else 7, time.thread_time)
@@ -133,7 +131,3 @@ def main(small: bool = False) -> dict[str, Rows]:
         row = {"skip": name, "without": 1e3 * slow, "skipped": 1e3 * fast}
         rows.append(row | {"saving": slow / fast, "change": change})
     return {"skips": rows}
-
-
-if __name__ == "__main__":
-    command(main)

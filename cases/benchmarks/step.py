@@ -9,16 +9,12 @@ Expected: the same rates by every way; a table on monomials costs what the close
           at every step costs a thousand times as much.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 from functools import partial
 from statistics import median
-from typing import Any
 
 import numpy as np
-from measure import Rows, command, seconds_each, turns
+from measure import command, seconds_each, turns
 
 from qbxstokes.bie.accuracy import accurate_body
 from qbxstokes.bie.operators import surface_operators
@@ -33,10 +29,10 @@ from qbxstokes.simulation.closed_forms import exact_model
 K = 0.5
 SHAPE = (1.0 - K * K) / (1.0 + K * K)
 BLOCK = 4096
-QUATERNION: list[float] = rotation.normalize([0.7, 0.3, -0.4, 0.5]).tolist()
+QUATERNION = rotation.normalize([0.7, 0.3, -0.4, 0.5]).tolist()
 
 
-def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
+def closed_form(y, shape):
     """dy/dt of a massless spheroid in u = (x2, 0, 0), plain arithmetic on y = (x, q).
 
     Omega = w/2 + lambda d x (E d) (Jeffery 1922), shape = lambda = (1 - k^2)/(1 + k^2).
@@ -52,9 +48,7 @@ def closed_form(y: list[float], shape: float) -> tuple[float, ...]:
     return x2, 0.0, 0.0, p0, p1, p2, p3
 
 
-def closed_form_inertial(
-    y: list[float], shape: float, drag: tuple[float, ...], gyration: float
-) -> tuple[float, ...]:
+def closed_form_inertial(y, shape, drag, gyration):
     """dy/dt of a spheroid with inertia in u = (x2, 0, 0), on y = (x, q, V, W).
 
     Lamb's drag and Jeffery's torque, written as resistances times slip. drag: R/(St inertia) of
@@ -86,34 +80,34 @@ class Given(RigidBodyEquations):
     rate_of_rows = property(lambda self: self.given)
 
 
-def rates(equations: RigidBodyEquations, y: list[float], bodies: int = 1) -> Callable[[], Any]:
+def rates(equations, y, bodies=1):
     """The right-hand side of every body of a block in the state y."""
     rate, state = equations.rate_function(), np.repeat(np.array(y)[:, None], bodies, axis=1)
     out = np.empty_like(state)
     return lambda: rate(0.0, state, out) or out
 
 
-def alone(repeats: int) -> Rows:
+def alone(repeats):
     """Time per body and right-hand side, and the largest difference from the closed form."""
     from qbxstokes.petsc.gmres import GmresSolver
 
     body = accurate_body(Spheroid(K), 1e-12)
     operators = surface_operators(Spheroid(K), body.scheme, 6)
     y = [0.1, 0.2, 0.3, *QUATERNION]
-    solvers: list[GmresSolver] = []
+    solvers = []
 
-    def gmres(operator: Any, grid: Any) -> GmresSolver:
+    def gmres(operator, grid):
         solvers.append(GmresSolver(operator, grid, 1e-12))
         return solvers[-1]
 
-    def compiled(bodies: int) -> Callable[[], Any]:
+    def compiled(bodies):
         equations = RigidBodyEquations(body.model, Shear(), 0.0, bodies, evaluation="compiled")
         return rates(equations, y, bodies)
 
     plain = RigidBodyEquations(body.model, Shear()).rate_of_rows
     grid = GridMotion(body.functional.on_grid(6), Shear())
     solve = SolveMotion(operators, Shear(), gmres)
-    ways: dict[str, tuple[Callable[[], Any], int]] = {
+    ways = {
         "closed form": (lambda: closed_form(y, SHAPE), 1),
         "table, plain Python": (lambda: plain(0.0, y), 1),
         "table, compiled, one body": (compiled(1), 1),
@@ -121,7 +115,7 @@ def alone(repeats: int) -> Rows:
         "functional on the grid": (rates(RigidBodyEquations(body.model, grid), y), 1),
         "solve at every step": (rates(RigidBodyEquations(body.model, solve), y), 1),
     }
-    rows: Rows = []
+    rows = []
     for name, (action, bodies) in ways.items():
         rate = np.asarray(action(), dtype=float).reshape(7, -1)[:, 0]
         span = 1e6 * seconds_each(action, repeats) / bodies
@@ -133,13 +127,13 @@ def alone(repeats: int) -> Rows:
     return rows
 
 
-def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
+def integrated(stokes_number, end, rounds):
     """Wall time of an integration per right-hand side."""
     from qbxstokes.petsc.stepper import integrate
 
     model = exact_model(Spheroid(K))
     closed = Given(model, Shear(), stokes_number, evaluation="plain")
-    ways: dict[str, RigidBodyEquations] = {"closed form": closed}
+    ways = {"closed form": closed}
     for way in ("plain", "compiled"):
         ways[f"table, {way}"] = RigidBodyEquations(model, Shear(), stokes_number, evaluation=way)
     closed.given = lambda t, y: closed_form(y, SHAPE)
@@ -150,16 +144,16 @@ def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
         closed.given = lambda t, y: closed_form_inertial(y, SHAPE, drag, gyration)
     start = closed.initial_state(np.zeros(3), QUATERNION)
     exact = np.array(closed.rate_of_rows(0.0, start[0].tolist()))
-    counts: dict[str, int] = {}
+    counts = {}
 
-    def run(name: str) -> float:
+    def run(name):
         begin = time.perf_counter()
         motion = integrate(ways[name], start, [end], 1e-8, method="8vr")
         counts[name] = motion.checkpoint.evaluations
         return 1e6 * (time.perf_counter() - begin) / counts[name]
 
     spans = turns({name: partial(run, name) for name in ways}, rounds)
-    rows: Rows = []
+    rows = []
     for name, equations in ways.items():
         out = rates(equations, start[0].tolist())()[:, 0]
         shares = np.array(spans[name]) / np.array(spans["closed form"])
@@ -169,12 +163,9 @@ def integrated(stokes_number: float, end: float, rounds: int) -> Rows:
     return rows
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+@command
+def main(small=False):
     """Both tables."""
     session.start([])
     runs = [integrated(st, 5.0 if small else 200.0, 1 if small else 20) for st in (0.0, 1.0)]
     return {"step": alone(1 if small else 5), "integrated": [*runs[0], *runs[1]]}
-
-
-if __name__ == "__main__":
-    command(main)

@@ -9,10 +9,7 @@ Run:      python cases/studies/acceleration.py      (15 s)
 Expected: for a rolling body T is St inertia/R to 1e-7; 226 of the 270 fits count.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -31,10 +28,10 @@ STARTS = {"rolling": (0.0, 0.0, 1.0), "along": (1.0, 0.0, 0.0), "oblique": (0.48
 MOTIONS = {"translation": ("velocity", 0, "along"), "rotation": ("angular_velocity", 2, "rolling")}
 
 
-def fit(times: Any, values: Any) -> tuple[float, float]:
+def fit(times, values):
     """T and the root mean square misfit over |A| of values = A (1 - exp(-t/T))."""
 
-    def parts(logarithm: float) -> tuple[float, Any]:
+    def parts(logarithm):
         rise = -np.expm1(-times / math.exp(logarithm))
         amplitude = float(rise @ values) / float(rise @ rise)
         return amplitude, values - amplitude * rise
@@ -48,7 +45,7 @@ def fit(times: Any, values: Any) -> tuple[float, float]:
     return math.exp(float(found.x)), float(np.sqrt(np.mean(rest**2)) / abs(amplitude))
 
 
-def run(k: float, stokes: float, table: Table) -> None:
+def run(k, stokes, table):
     """Add the times of both motions from every start."""
     scales = [stokes / rate for rate in heavy.relaxation_rates(k)]
     for pair, (name, (quantity, component, along)) in zip((scales[:2], scales[2:]), MOTIONS.items(),
@@ -70,14 +67,14 @@ def run(k: float, stokes: float, table: Table) -> None:
                       axial=pair[1], ratio=found / pair[start == along])  # fmt: skip
 
 
-def spread(rows: Table) -> str:
+def spread(rows):
     """The range of T over its scale, and the largest St, of the fits that count."""
     counted = rows["misfit"] < MISFIT
     ratios, last = rows["ratio"][counted], rows["stokes_number"][counted][-1]
     return f"{ratios.min():.2f}–{ratios.max():.2f} (St ≤ {last:g})"
 
 
-def draw(table: Table) -> None:
+def draw(table):
     """Fitted times, and over St inertia/R of the start."""
     with common.figure("acceleration", style.PAGE, 4.8) as figure:
         panels = figure.subplots(2, 2, sharex=True)
@@ -113,7 +110,8 @@ def draw(table: Table) -> None:
         style.letter_panels(list(panels.ravel()))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the error for rolling bodies and how many fits count."""
     table = Table("acceleration", "times over 1/shear rate; ratio: over St inertia/R at the start")
     printed = []
@@ -134,7 +132,3 @@ def main(small: bool = False) -> dict[str, float]:
         "fits": len(table.rows),
         "fits that count": int((table["misfit"] < MISFIT).sum()),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -5,14 +5,10 @@ files and its figure as PDF and PNG into the current folder, and returns the num
 promises. `python SCRIPT --small` is a short form of a few seconds, which the tests run.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,30 +16,28 @@ import qbxstokes as qs
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import UniformScheme
 
-Array = Any
-
 
 class Table:
     """Rows of plain values: `table[name]` is a column, `where` the rows with given values."""
 
-    def __init__(self, name: str, about: str, rows: Sequence[dict[str, Any]] = ()) -> None:
+    def __init__(self, name, about, rows=()):
         """name: that of the CSV file; about: what the columns are and in which units."""
         self.name, self.about, self.rows = name, about, list(rows)
 
-    def add(self, **row: Any) -> None:
+    def add(self, **row):
         """Append a row."""
         self.rows.append(row)
 
-    def __getitem__(self, column: str) -> Array:
+    def __getitem__(self, column):
         """A column as an array."""
         return np.array([row[column] for row in self.rows])
 
-    def where(self, **values: Any) -> Table:
+    def where(self, **values):
         """The rows with these values."""
         chosen = [row for row in self.rows if all(row[n] == v for n, v in values.items())]
         return Table(self.name, self.about, chosen)
 
-    def write(self) -> None:
+    def write(self):
         """Write NAME.csv into the current folder; `about` is a comment in its first line."""
         with Path(f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
             file.write(f"# {self.about}\n")
@@ -52,7 +46,7 @@ class Table:
             writer.writerows(self.rows)
 
 
-def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def markdown(head, rows):
     """Print a table."""
     print(f"\n| {' | '.join(head)} |\n{'|---' * len(head)}|")
     for row in rows:
@@ -60,36 +54,33 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def figure(name: str, width: float, height: float) -> Iterator[Any]:
+def figure(name, width, height):
     """A figure of this size in inches, written as NAME.pdf and NAME.png at the end of the block."""
+    from PIL import Image
+
     with style.styled():
         drawn = style.new_figure(width, height)
         yield drawn
         drawn.get_layout_engine().execute(drawn)  # once for both files
         drawn.set_layout_engine("none")
-        for kind in ("pdf", "png"):
-            _reduce(style.save(drawn, Path(f"{name}.{kind}"), 200.0), 64)
-
-
-def _reduce(path: Path, colours: int) -> None:
-    """Rewrite a PNG with a palette, several times smaller; lines keep clean edges."""
-    if path.suffix != ".png":
-        return
-    from PIL import Image
-
-    with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE)
+        style.save(drawn, Path(f"{name}.pdf"))
+        path = style.save(drawn, Path(f"{name}.png"), 200.0)
+    with Image.open(
+        path
+    ) as picture:  # with a palette, several times smaller; lines keep their edges
+        small = picture.convert("RGB").quantize(64, dither=Image.Dither.NONE)
         small.save(path, "PNG", optimize=True, dpi=picture.info.get("dpi", (72, 72)))
 
 
-def command(main: Callable[[bool], dict[str, float]]) -> None:
-    """Run `main` from the command line, and print the numbers that it returns."""
-    parser = argparse.ArgumentParser(description=(main.__globals__["__doc__"] or "").split("\n")[0])
-    parser.add_argument("--small", action="store_true", help="the short form, a few seconds")
-    found = main(parser.parse_args().small)
-    print()
-    for name, value in found.items():
-        print(f"{name}: {value:.3g}")
+def command(main):
+    """Of a script's `main`: run from the command line, it prints the numbers that it returns."""
+    if main.__module__ == "__main__":
+        about = main.__globals__["__doc__"].split("\n")[0]
+        parser = argparse.ArgumentParser(description=about)
+        parser.add_argument("--small", action="store_true", help="the short form, a few seconds")
+        found = main(parser.parse_args().small)
+        print("", *(f"{name}: {value:.3g}" for name, value in found.items()), sep="\n")
+    return main
 
 
 # -- quadrature -----------------------------------------------------------------------------------
@@ -97,7 +88,7 @@ def command(main: Callable[[bool], dict[str, float]]) -> None:
 PLACE = (0.3, 2.0, -0.5)
 
 
-def every_term() -> Any:
+def every_term():
     """Shear with a paraboloid on top: every term of the laws up to second order counts at PLACE."""
     hessian = np.zeros((3, 3, 3))
     hessian[0, 1, 1] = hessian[0, 2, 2] = 0.5
@@ -105,24 +96,24 @@ def every_term() -> Any:
     return qs.flow("polynomial", gradient=gradient, hessian=hessian.tolist())
 
 
-def power(value: float, decimals: int = 1) -> str:
+def power(value, decimals=1):
     """A number and a power of ten: 1.7e-4."""
     mantissa, _, exponent = f"{value:.{decimals}e}".partition("e")
     return f"{mantissa}e{int(exponent)}"
 
 
-def uniform(k: float, n_theta: int, order: int, r_over_h: float, upsampling: int) -> UniformScheme:
+def uniform(k, n_theta, order, r_over_h, upsampling):
     """The scheme of the thesis with n_phi = k n_theta, at least enough for the modes in use."""
     n_phi = max(8, 2 * round(0.5 * k * n_theta))
     return UniformScheme(n_theta, n_phi, order, r_over_h, upsampling)
 
 
-def largest_ratio(k: float, n_theta: int) -> float:
+def largest_ratio(k, n_theta):
     """The largest admissible r/h: k^2 n_theta/(2 pi), or n_theta/(2 pi k) for k > 1."""
     return min(k * k, 1.0 / k) * n_theta / (2.0 * np.pi)
 
 
-def work(scheme: UniformScheme) -> float:
+def work(scheme):
     """Source nodes times targets times orders: what the set-up of a uniform scheme takes."""
     sources = scheme.upsampling**2 * scheme.n_theta * scheme.n_phi / 2
     return sources * scheme.n_theta * (scheme.expansion_order + 1)

@@ -10,10 +10,7 @@ Expected: every run within 0.15 % of the periodic solution at its mean local she
           1e-12 K for a sphere and with inertia of the rotation alone.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -29,7 +26,7 @@ FAR = 16.0  # distance from the axis at which the curvature is weak
 COMPARED = (0.1, 0.5, 5.0)  # drawn with and without inertia of the rotation
 
 
-def run(k: float, stokes_numbers: list[float], inertia: str, distance: float, found: Table) -> None:
+def run(k, stokes_numbers, inertia, distance, found):
     """Add the drift over K of bodies that tumble in the plane of shear."""
     means = averages(body(k, stokes_numbers, inertia), paraboloid(distance), orbit(k, math.inf),
                      HALF_TURNS, (0.0, distance, 0.0))  # fmt: skip
@@ -41,7 +38,7 @@ def run(k: float, stokes_numbers: list[float], inertia: str, distance: float, fo
         )  # fmt: skip
 
 
-def maximum(k: float, runs: Table) -> dict[str, Any]:
+def maximum(k, runs):
     """Where the periodic solution is largest, the largest run, and both ends."""
     scale = math.log(heavy.relaxation_rates(k)[0])
     top = minimize_scalar(
@@ -62,7 +59,7 @@ def maximum(k: float, runs: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def draw(drift: Table, small: bool) -> None:
+def draw(drift, small):
     """Drift against St; the same over its limits of small and large St, joined, by parts."""
     with common.figure("lateral_drift", style.PAGE, 2.7) as figure:
         left, right = figure.subplots(1, 2)
@@ -99,7 +96,8 @@ def draw(drift: Table, small: bool) -> None:
         style.letter_panels([left, right])
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; how far the runs are from theory and from zero."""
     stokes_numbers = np.array([1.0, 30.0]) if small else np.geomspace(0.1, 1000.0, 9)
     drift = Table("lateral_drift", "drift: K c^2; theory: at the mean local shear rate")
@@ -134,7 +132,3 @@ def main(small: bool = False) -> dict[str, float]:
         "largest drift with inertia of the rotation alone": np.abs(turning["drift"]).max(),
         "maximum of k = 0.5": maxima.where(aspect_ratio=0.5)["drift"][0],
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

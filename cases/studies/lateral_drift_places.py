@@ -11,8 +11,6 @@ Expected: K c^2 f(k, St rate) with the shear rate where the body is, within 0.08
           derived in qbxstokes/reference/heavy.py.)
 """
 
-from __future__ import annotations
-
 import math
 
 import common
@@ -29,7 +27,7 @@ RUNS = ((0.5, 10.0), (0.5, 100.0), (2.0, 1.0), (2.0, 10.0))
 PROFILES = [(k, profile) for k in (0.5, 2.0) for profile in ("paraboloid", "plane")]
 
 
-def orbit_theory(k: float, constant: float, profile: str) -> float:
+def orbit_theory(k, constant, profile):
     """Drift over K St on a Jeffery orbit for St -> 0: U varies as 1 - d1^2, or as d2^2."""
     if profile == "paraboloid":
         return heavy.small_stokes_drift_on_orbit(k, constant)
@@ -39,7 +37,7 @@ def orbit_theory(k: float, constant: float, profile: str) -> float:
     return -inertial.volume(k) * (1.0 / along - 1.0 / across) * (1.0 - k * k) / 3.0 * lag
 
 
-def on_orbits(k: float, profile: str, constants: list[float], found: Table) -> None:
+def on_orbits(k, profile, constants, found):
     """Add the drift over K St on every orbit."""
     hessian = np.zeros((3, 3, 3))
     hessian[0, 1, 1] = 1.0 / FAR
@@ -56,7 +54,7 @@ def on_orbits(k: float, profile: str, constants: list[float], found: Table) -> N
                   theory=orbit_theory(k, c, profile), along_vorticity=v[2])  # fmt: skip
 
 
-def draw(places: Table, orbits: Table) -> None:
+def draw(places, orbits):
     """Drift over its value for weak curvature against distance; on orbits over that of tumbling."""
     with common.figure("lateral_drift_places", style.PAGE, 2.7) as figure:
         left, right = figure.subplots(1, 2)
@@ -86,7 +84,8 @@ def draw(places: Table, orbits: Table) -> None:
         style.letter_panels([left, right])
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest differences from theory."""
     distances = (4.0, 16.0) if small else (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     constants = [1.0, math.inf] if small else [0.3, 1.0, 3.0, 10.0, math.inf]
@@ -119,7 +118,3 @@ def main(small: bool = False) -> dict[str, float]:
         "largest difference on orbits": np.abs(orbits["drift"] / orbits["theory"] - 1.0).max(),
         "largest velocity along the vorticity": np.abs(orbits["along_vorticity"]).max(),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -8,8 +8,6 @@ Expected: differences of parts (c/distance)^2, below 0.15 % from 8 lengths on; w
           rate, for k = 1/2, within the uncertainty. (New here.)
 """
 
-from __future__ import annotations
-
 import common
 import numpy as np
 from common import Table, power
@@ -24,7 +22,7 @@ RUNS = ((0.5, 10.0, 50.0), (2.0, 1.0, 1e6))  # k, St, and an orbit constant near
 HEADS = ("mean local shear rate", "against the starting rate", "against the local rate")
 
 
-def run(k: float, stokes: float, constant: float, distance: float, found: Table) -> None:
+def run(k, stokes, constant, distance, found):
     """Add the rates of ln C in the paraboloid and in shear of the rate where the body is."""
     moving, start = body(k, [stokes]), orbit(k, constant)
     relaxed = 10.0 * heavy.slowest_relaxation(k, stokes)
@@ -41,7 +39,8 @@ def run(k: float, stokes: float, constant: float, distance: float, found: Table)
               from_start=rate / -heavy.tumbling_exponent(k, stokes) - 1.0)  # fmt: skip
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest differences from 8 lengths on."""
     distances = (4.0, 16.0) if small else (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     table = Table("local_orbit_drift", "rates of ln C; differences from shear, relative")
@@ -71,7 +70,3 @@ def main(small: bool = False) -> dict[str, float]:
         "largest difference from 8 lengths on": np.abs(table["from_start"][far]).max(),
         "from shear of the local rate": np.abs(table["difference"][far]).max(),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

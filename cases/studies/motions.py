@@ -1,18 +1,13 @@
 """What the studies of motion share: starts on Jeffery orbits, averages with their uncertainty."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from common import Table, markdown
-from numpy.typing import ArrayLike
+from common import markdown
 
 import qbxstokes as qs
-from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.reference import heavy, jeffery
 
@@ -32,17 +27,17 @@ _DECIMALS = 7
 _massless = lru_cache(qs.Body)
 
 
-def body(k: float, stokes_number: ArrayLike = 0.0, inertia: Any = "both") -> qs.Body:
+def body(k, stokes_number=0.0, inertia="both"):
     """A body, whose integral equation is solved once for all Stokes numbers."""
     return _massless(k).with_inertia(stokes_number, inertia)
 
 
-def paraboloid(distance: float) -> Flow:
+def paraboloid(distance):
     """u = K (x2^2 + x3^2) e1 of shear rate 1 at the distance from its axis: K = 1/(2 distance)."""
     return qs.flow("paraboloid", curvature=0.5 / distance)
 
 
-def axes(directions: Iterable[ArrayLike]) -> Array:
+def axes(directions):
     """Quaternions (n, 4) with the axis along each of the directions (n, 3).
 
     In the plane of shear q0 = q1 and q2 = q3, which the motion keeps to the last bit: a body that
@@ -56,7 +51,7 @@ def axes(directions: Iterable[ArrayLike]) -> Array:
     return np.where(axis[:, 2:] == 0.0, plane, rotation.from_axis(axis))
 
 
-def orbit(k: float, constants: ArrayLike, phase: float = 0.0) -> Array:
+def orbit(k, constants, phase=0.0):
     """Quaternions (n, 4) on the Jeffery orbits of the given constants; infinite is tumbling."""
     c = np.atleast_1d(np.asarray(constants, dtype=float))
     part, upright = np.where(np.isinf(c), 1.0, c), np.where(np.isinf(c), 0.0, 1.0)
@@ -64,14 +59,8 @@ def orbit(k: float, constants: ArrayLike, phase: float = 0.0) -> Array:
 
 
 def averages(
-    moving: qs.Body,
-    flow: Flow,
-    orientation: Array,
-    half_turns: int,
-    position: Sequence[float] = (0.0, 0.0, 0.0),
-    relaxed: float | None = None,
-    half_turn: float | None = None,
-) -> dict[str, tuple[Array, Array]]:
+    moving, flow, orientation, half_turns, position=(0.0, 0.0, 0.0), relaxed=None, half_turn=None
+):
     """Averages (lanes,) over whole half-turns after the transient, each with its uncertainty.
 
     half_turns, rotation_rate, orbit_drift (rate of ln C), velocity (lanes, 3), position (lanes, 3;
@@ -93,7 +82,7 @@ def averages(
     times = relaxed + half_turn + step * np.arange(samples)
     middle, end = times[(samples - 1) // 2], times[-1]
 
-    def over(motion: qs.Motion, start: float, stop: float) -> dict[str, Array]:
+    def over(motion, start, stop):
         part = motion.between(start, stop)
         found = part.averages()
         found["rotation_rate"] = np.abs(found["rotation_rate"])
@@ -115,7 +104,7 @@ def averages(
     }
 
 
-def groups(stokes_numbers: Iterable[float], size: int) -> list[list[float]]:
+def groups(stokes_numbers, size):
     """Increasing Stokes numbers, to four digits, in groups that are integrated together."""
     rounded = [float(f"{st:.4g}") for st in stokes_numbers]
     return [rounded[i : i + size] for i in range(0, len(rounded), size)]
@@ -124,7 +113,7 @@ def groups(stokes_numbers: Iterable[float], size: int) -> list[list[float]]:
 # -- in print -------------------------------------------------------------------------------------
 
 
-def shown(value: float, error: float) -> str:
+def shown(value, error):
     """1.234(5)e-3 for (1.234 ± 0.005)e-3: one digit of the uncertainty, rounded up."""
     if value == 0.0:
         return "0"
@@ -139,7 +128,7 @@ def shown(value: float, error: float) -> str:
     return f"{value / 10.0**exponent:.{places}f}({max(digit, 1)})e{exponent}"
 
 
-def cross(table: Table, cell: Callable[[dict[str, Any]], str]) -> None:
+def cross(table, cell):
     """Print a table of Stokes numbers (down) and aspect ratios (across)."""
     ratios = np.unique(table["aspect_ratio"]).tolist()
     rows = []
@@ -151,7 +140,7 @@ def cross(table: Table, cell: Callable[[dict[str, Any]], str]) -> None:
     markdown(["St", *(f"k = {k:g}" for k in ratios)], rows)
 
 
-def labelled(panel: Any, x: str, y: str, log: str = "") -> None:
+def labelled(panel, x, y, log=""):
     """Name the axes of a panel; log: which of "x" and "y" are logarithmic."""
     panel.set_xlabel(x)
     panel.set_ylabel(y)
@@ -159,7 +148,7 @@ def labelled(panel: Any, x: str, y: str, log: str = "") -> None:
         getattr(panel, f"set_{letter}scale")("log")
 
 
-def doubling(panel: Any, y: str, log: str = "") -> None:
+def doubling(panel, y, log=""):
     """Distances from the axis of the flow on a logarithmic scale, as plain numbers."""
     places = (1, 2, 4, 8, 16, 32)
     labelled(panel, "distance from the axis of the flow ($c$)", y, "x" + log)

@@ -12,10 +12,7 @@ Expected: 121 runs near the limits, 1e-6 from the exact exponents in the median 
           (k = 0.1, next to the spike).
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -35,11 +32,11 @@ LARGEST = 0.1  # a rate whose uncertainty is a larger part of it is left out
 EXPONENTS = {"rolling": heavy.rolling_exponent, "tumbling": heavy.tumbling_exponent}
 
 
-def run(k: float, stokes_numbers: list[float], rates: Table) -> None:
+def run(k, stokes_numbers, rates):
     """Add rates near rolling, near tumbling and from C = 1 on."""
     scale, b = heavy.relaxation_rates(k)[2], heavy.orbit_drift_coefficient(k, 1.0)
 
-    def add(where: str, chosen: list[float], starts: Any, limit: Any, exact: Any, **times: Any):
+    def add(where, chosen, starts, limit, exact, **times):
         """The rates of bodies that start on given orbits, beside rate/St for St -> 0 and theory."""
         found = averages(body(k, chosen), SHEAR, orbit(k, starts), HALF_TURNS, **times)
         columns = np.broadcast_arrays(chosen, *found["orbit_drift"], limit, exact)
@@ -49,7 +46,7 @@ def run(k: float, stokes_numbers: list[float], rates: Table) -> None:
                           uncertainty=error, theory=theory, rate_over_st=rate / st,
                           coefficient=small)  # fmt: skip
 
-    def tilt(growth: Any) -> Any:
+    def tilt(growth):
         """At the start, so that it is small, but not too small, while it is measured."""
         late = relaxed + np.where(growth > 0.0, HALF_TURNS + 1.5, 1.0) * half_turn
         return np.clip(SMALL * np.exp(-growth * late), 1e-10, 0.3)
@@ -75,7 +72,7 @@ def run(k: float, stokes_numbers: list[float], rates: Table) -> None:
         add("C = 1", slow, np.ones(len(slow)), come, math.nan, relaxed=relaxed)
 
 
-def history(k: float, stokes: float) -> tuple[Any, Any, Any]:
+def history(k, stokes):
     """Times, C from 0.3 (prolate) or 3 (oblate) on, mean over a half-turn, and its theory."""
     first = 0.3 if k < 1.0 else 3.0
     times = np.linspace(0.0, 4.0 / abs(stokes * heavy.orbit_drift_coefficient(k, first)), 4001)
@@ -92,13 +89,13 @@ def history(k: float, stokes: float) -> tuple[Any, Any, Any]:
     return middle, np.exp(smooth), np.exp(exact.y[0])
 
 
-def exponents(k: float, where: str, lags: Any) -> tuple[Any, Any]:
+def exponents(k, where, lags):
     """Stokes numbers and exact rates over the range of the lags St J1/R1."""
     stokes = np.geomspace(lags[0], lags[-1], 40) * heavy.relaxation_rates(k)[2]
     return stokes, np.array([abs(EXPONENTS[where](k, st)) for st in stokes.tolist()])
 
 
-def largest(k: float, where: str, lags: Any) -> str:
+def largest(k, where, lags):
     """The largest exact rate, or where it has a spike: finer points find more and more there."""
     stokes, rates = exponents(k, where, lags)
     at, scale = stokes[rates.argmax()], heavy.relaxation_rates(k)[2]
@@ -108,7 +105,7 @@ def largest(k: float, where: str, lags: Any) -> str:
     return f"{rates.max():.2g} (St = {float(f'{at:.2g}'):g}, t = {at / scale:.2g})"
 
 
-def draw(rates: Table, lags: Any, histories: Any) -> None:
+def draw(rates, lags, histories):
     """Rates against St near rolling and tumbling, b(C), and C in time."""
     with common.figure("orbit_drift", style.PAGE, 5.0) as figure:
         panels = figure.subplots(2, 2).ravel()
@@ -147,7 +144,8 @@ def draw(rates: Table, lags: Any, histories: Any) -> None:
         style.letter_panels(list(panels))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; how far the runs are from the exact exponents."""
     ratios = (0.5, 2.0) if small else (0.1, 0.2, 0.5, 2.0, 5.0, 10.0)
     lags = np.array([0.03, 1.0]) if small else np.geomspace(0.01, 30.0, 12)
@@ -177,7 +175,3 @@ def main(small: bool = False) -> dict[str, float]:
         "median difference from the exact exponents": float(np.median(apart)),
         "largest difference": apart.max(),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -11,10 +11,7 @@ Expected: graded errors below 5e-11 from k = 1/50 to 50, at most 1.2 times the e
           ones of 4e-4 and less for 1/2 <= k <= 2 only.
 """
 
-from __future__ import annotations
-
 import time
-from typing import Any
 
 import common
 import numpy as np
@@ -30,7 +27,7 @@ TOLERANCE = 1e-10
 DEAREST = 1e8  # work of the uniform scheme beyond which it is not tried
 
 
-def scheme_of(k: float, name: str) -> Any:
+def scheme_of(k, name):
     """The scheme of a name; None where it cannot be had or is too dear."""
     if name.startswith("graded"):
         return choose_scheme(TOLERANCE)
@@ -40,7 +37,7 @@ def scheme_of(k: float, name: str) -> Any:
     return scheme if allowed else None
 
 
-def measure(k: float, name: str, table: Table) -> None:
+def measure(k, name, table):
     """Add true error, estimated error where one is made, and time."""
     row = dict.fromkeys(("error", "estimate", "time"), np.nan)
     begin, model = time.perf_counter(), None
@@ -54,7 +51,7 @@ def measure(k: float, name: str, table: Table) -> None:
     table.add(aspect_ratio=k, scheme=name, **row)
 
 
-def draw(table: Table) -> None:
+def draw(table):
     """Error over the aspect ratio, a curve per scheme."""
     with common.figure("qbx_aspect_ratios", style.COLUMN, 2.9) as figure:
         panel = figure.subplots()
@@ -66,7 +63,8 @@ def draw(table: Table) -> None:
         panel.legend(fontsize=7)
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest errors, and those beside the estimate."""
     ratios = (0.2, 50.0) if small else (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
     plain_body(qs.Spheroid(1.0), choose_scheme(1e-2))  # the first one waits for compiled kernels
@@ -91,7 +89,3 @@ def main(small: bool = False) -> dict[str, float]:
         "smallest error, uniform": np.nanmin(adapted["error"]),
         "largest error, uniform": np.nanmax(adapted["error"]),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

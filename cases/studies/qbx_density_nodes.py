@@ -11,11 +11,8 @@ Expected: with four nodes graded force and motion are exact (1e-12) and the dens
           quadrature, 6e-4 (k = 1/2) and 1e-4 (k = 2) of the density.
 """
 
-from __future__ import annotations
-
 import math
 import time
-from typing import Any
 
 import common
 import numpy as np
@@ -32,7 +29,7 @@ SOURCES = 240  # polar nodes of the upsampled grid
 POWERS = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c < 4]
 
 
-def solution(k: float, scheme: Any) -> tuple[Any, Any]:
+def solution(k, scheme):
     """Monomials up to degree 3 at the nodes, and the density of the mobility problem there."""
     operators = surface_operators(qs.Spheroid(k), scheme, 9)
     points = operators.grid.points
@@ -42,7 +39,7 @@ def solution(k: float, scheme: Any) -> tuple[Any, Any]:
     return monomials, operators.mobility.inverse.apply(-flow)
 
 
-def fixed_quadrature(k: float, name: str, nodes: int) -> Any:
+def fixed_quadrature(k, name, nodes):
     """The scheme whose quadrature does not change with the nodes of the density."""
     if name == "graded":
         return GradedScheme(nodes, 26, 0.3, 18, 0.7)
@@ -51,7 +48,7 @@ def fixed_quadrature(k: float, name: str, nodes: int) -> Any:
     return UniformScheme(nodes, around, 18, 0.95 * common.largest_ratio(k, nodes), upsampling)
 
 
-def measure(k: float, name: str, nodes: int, polynomial: Any, table: Table) -> None:
+def measure(k, name, nodes, polynomial, table):
     """Add errors of the density at its nodes and of the motion, and the time of a solution."""
     scheme = fixed_quadrature(k, name, nodes)
     begin = time.perf_counter()
@@ -65,7 +62,7 @@ def measure(k: float, name: str, nodes: int, polynomial: Any, table: Table) -> N
     )  # fmt: skip
 
 
-def draw(table: Table, curves: Any) -> None:
+def draw(table, curves):
     """Error of the density over its nodes."""
     with common.figure("qbx_density_nodes", style.COLUMN, 2.9) as figure:
         panel = figure.subplots()
@@ -77,7 +74,8 @@ def draw(table: Table, curves: Any) -> None:
         panel.legend(fontsize=7)
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; errors at the fewest and at the most nodes."""
     ratios, numbers = ((0.5,), (4, 6)) if small else ((0.5, 2.0), (4, 6, 8, 10, 14, 20))
     curves = [(k, name) for k in ratios for name in ("uniform", "graded")]
@@ -104,7 +102,3 @@ def main(small: bool = False) -> dict[str, float]:
         "graded, most nodes, density": graded["density_error"][-1],
         "uniform, most nodes, density": uniform["density_error"][-1],
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

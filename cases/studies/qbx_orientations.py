@@ -10,10 +10,7 @@ Expected: in every orientation errors of at most 5e-4 (uniform), 1.3e-5 (fine), 
           and 5e-15 (graded 1e-10).
 """
 
-from __future__ import annotations
-
 import time
-from typing import Any
 
 import common
 import numpy as np
@@ -31,7 +28,7 @@ SCHEMES = ("uniform", "uniform fine", "graded 1e-6", "graded 1e-10")
 ERRORS = ("force", "torque", "velocity", "angular_velocity")
 
 
-def scheme_and_completion(k: float, name: str) -> tuple[Any, Any]:
+def scheme_and_completion(k, name):
     """The quadrature of a name, and the completion that goes with it."""
     if name.startswith("graded"):
         return choose_scheme(float(name.split()[1])), "surface"
@@ -40,7 +37,7 @@ def scheme_and_completion(k: float, name: str) -> tuple[Any, Any]:
     return common.uniform(k, 20, order, r_over_h, upsampling), "point"
 
 
-def closed_forms(k: float, flow: Any, x: Any, d: Any) -> tuple[Any, Any, Any, Any]:
+def closed_forms(k, flow, x, d):
     """Force, torque, velocity and angular velocity (n, 3) at x (n, 3) with axes d (n, 3)."""
     u, omega = faxen.free_motion_polynomial(k, d, *flow.derivatives(x)[:4])
     across, along, turning, spinning = faxen.resistance(k)
@@ -49,7 +46,7 @@ def closed_forms(k: float, flow: Any, x: Any, d: Any) -> tuple[Any, Any, Any, An
     return force, torque, u, omega
 
 
-def measure(k: float, name: str, count: int, each: Table) -> None:
+def measure(k, name, count, each):
     """Add relative errors per orientation, and wall times of the set-up and of a solve."""
     flow = common.every_term().polynomial
     scheme, completion = scheme_and_completion(k, name)
@@ -73,7 +70,7 @@ def measure(k: float, name: str, count: int, each: Table) -> None:
                  set_up=formed - begin, solve=solve)  # fmt: skip
 
 
-def draw(each: Table, ratios: Any) -> None:
+def draw(each, ratios):
     """Errors over the tilt of the axis, a panel per aspect ratio."""
     with common.figure("qbx_orientations", style.PAGE, 3.1) as figure:
         panels = figure.subplots(1, len(ratios), squeeze=False)[0]
@@ -95,7 +92,8 @@ def draw(each: Table, ratios: Any) -> None:
         style.letter_panels(list(panels))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest error of each scheme."""
     ratios, count = ((0.5,), 6) if small else ((0.5, 2.0), 100)
     schemes = [name for name in SCHEMES if not (small and name == "uniform fine")]
@@ -117,7 +115,3 @@ def main(small: bool = False) -> dict[str, float]:
     draw(each, ratios)
     largest = {name: [each.where(scheme=name)[e].max() for e in ERRORS] for name in schemes}
     return {f"largest error, {name}": max(errors) for name, errors in largest.items()}
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -11,11 +11,8 @@ Expected: n_theta 6, p 8, radius factor 0.3 and panel order 7, 9, 12 for toleran
           1e-4 for 1/2 <= k <= 2, and 1e-7 for the sphere only.
 """
 
-from __future__ import annotations
-
 import time
 from itertools import product
-from typing import Any
 
 import common
 import numpy as np
@@ -31,7 +28,7 @@ GRADED = ("n_theta", "expansion_order", "radius_factor", "panel_order")
 UNIFORM = ("n_theta", "order", "radius", "upsampling", "error", "time", "work")
 
 
-def timed(k: float, scheme: Any) -> tuple[float, float]:
+def timed(k, scheme):
     """True error of a scheme and the wall time of its set-up."""
     begin = time.perf_counter()
     model = plain_body(qs.Spheroid(k), scheme).model
@@ -39,7 +36,7 @@ def timed(k: float, scheme: Any) -> tuple[float, float]:
     return true_error(model), spent
 
 
-def graded(k: float, tolerance: float) -> dict[str, Any]:
+def graded(k, tolerance):
     """What the body chooses, its error, and the time without and with the estimate."""
     begin = time.perf_counter()
     body = accurate_body(qs.Spheroid(k), tolerance, strict=False)
@@ -52,7 +49,7 @@ def graded(k: float, tolerance: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def uniform_trials(k: float, dearest: float) -> list[tuple[Any, ...]]:
+def uniform_trials(k, dearest):
     """Parameters, error, time and work of the uniform schemes that are not too dear."""
     found = []
     for n_theta, kappa, order, part in product((8, 16), (8, 16), (6, 12, 20), (0.4, 1.0)):
@@ -63,7 +60,7 @@ def uniform_trials(k: float, dearest: float) -> list[tuple[Any, ...]]:
     return found
 
 
-def draw(table: Table) -> None:
+def draw(table):
     """Set-up time over the aspect ratio for each tolerance, by both schemes."""
     with common.figure("qbx_recommended", style.COLUMN, 2.9) as figure:
         panel = figure.subplots()
@@ -80,7 +77,8 @@ def draw(table: Table) -> None:
         panel.legend(fontsize=7)
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; what is recommended, and the largest error over tolerance."""
     ratios, dearest = ((1.0,), 1e6) if small else (
         (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 2.5e7)  # fmt: skip
@@ -112,7 +110,3 @@ def main(small: bool = False) -> dict[str, float]:
         "uniform schemes found": np.isfinite(table["uniform_error"]).sum(),
         "least work of a uniform scheme": np.nanmin(table["uniform_work"]),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -9,11 +9,8 @@ Expected: least errors of 4.4e-2, 6.6e-3 and 1.3e-5 for kappa = 4, 8 and 16, at 
           the largest radius each.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import common
 import numpy as np
@@ -34,16 +31,16 @@ class Resolved(GradedScheme):
 
     of: UniformScheme | None = None
 
-    def radius(self, spheroid: Any, theta: float) -> float:
+    def radius(self, spheroid, theta):
         """The global radius."""
         return self.of.radius(spheroid, theta)
 
-    def grid(self, spheroid: Any, n_phi: int) -> Any:
+    def grid(self, spheroid, n_phi):
         """The grid of the uniform scheme."""
         return self.of.grid(spheroid, n_phi)
 
 
-def measure(r_over_h: float, order: int, upsamplings: Any, table: Table) -> None:
+def measure(r_over_h, order, upsamplings, table):
     """Add error, its truncation and its quadrature part; nan where the radius is forbidden."""
     allowed = r_over_h <= common.largest_ratio(BODY.aspect_ratio, N_THETA)
     for kappa in upsamplings:
@@ -61,7 +58,7 @@ def measure(r_over_h: float, order: int, upsamplings: Any, table: Table) -> None
         table.add(upsampling=kappa, r_over_h=r_over_h, expansion_order=order, **row)
 
 
-def draw_valley(table: Table, upsamplings: Any, ratios: Any) -> None:
+def draw_valley(table, upsamplings, ratios):
     """The valley between truncation and quadrature, a panel per upsampling."""
     with common.figure("qbx_valley", style.PAGE, 2.7) as figure:
         panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
@@ -84,7 +81,7 @@ def draw_valley(table: Table, upsamplings: Any, ratios: Any) -> None:
         style.letter_panels(list(panels))
 
 
-def draw_map(table: Table, upsamplings: Any) -> None:
+def draw_map(table, upsamplings):
     """Error over radius and order, a panel per upsampling, with a line per decade."""
     with common.figure("qbx_map", style.PAGE, 2.5) as figure:
         panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
@@ -109,7 +106,8 @@ def draw_map(table: Table, upsamplings: Any) -> None:
         style.letter_panels(list(panels))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the least error of each upsampling and its order."""
     upsamplings = (4, 8) if small else (4, 8, 16)
     parts = (1.0, 1.2) if small else (0.15, 0.3, 0.5, 0.7, 1.0, 1.2)  # the last is forbidden
@@ -141,7 +139,3 @@ def main(small: bool = False) -> dict[str, float]:
         found[f"kappa {kappa}, its p"] = row["expansion_order"]
         found[f"kappa {kappa}, its part of the largest r/h"] = row["r_over_h"] / largest
     return found
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -25,8 +25,6 @@ Expected: a sphere 2.5; rods of 2, 5, 10 and 25 to one 2.908, 5.806, 13.63, 55.1
           small oscillations to 1e-7; N1 > 0 > N2 everywhere.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 
@@ -50,13 +48,13 @@ OBLATE |= {20: 14.80, 25: 18.19, 30: 21.6}
 NAMES = ("intrinsic_viscosity", "first_normal_stress_difference", "second_normal_stress_difference")
 
 
-def simha(r: float) -> float:
+def simha(r):
     """[eta] at small Peclet number of slender rods of aspect ratio r (Simha 1940)."""
     log = math.log(2.0 * r)
     return r * r / (15.0 * (log - 1.5)) + r * r / (5.0 * (log - 0.5)) + 14.0 / 15.0
 
 
-def brenner(k: float) -> float:
+def brenner(k):
     """[eta] of slender rods and flat discs at large Peclet numbers (Brenner 1974)."""
     if k > 1.0:
         return 3.183 - 1.792 / k
@@ -64,17 +62,17 @@ def brenner(k: float) -> float:
 
 
 @functools.cache
-def body(k: float) -> qs.Body:
+def body(k):
     """The spheroid of an aspect ratio, formed once."""
     return qs.Body(k)
 
 
-def viscosity(k: float, number: float, **keys: object) -> float:
+def viscosity(k, number, **keys):
     """[eta] of spheroids in shear."""
     return float(qs.rheology(body(k), SHEAR, number, **keys).intrinsic_viscosity)
 
 
-def dumbbell(number: float, degree: int) -> tuple[float, float]:
+def dumbbell(number, degree):
     """[eta] and Psi_1 in units of n kT lambda and n kT lambda^2 of rigid dumbbells in shear.
 
     lambda = 1/(6 D). Their stress is 3 n kT <pp> + 6 n kT lambda <pppp>:E; the flow turns them as
@@ -90,13 +88,13 @@ def dumbbell(number: float, degree: int) -> tuple[float, float]:
     return 6.0 * float(found[NAMES[0]]), 36.0 / number * float(found[NAMES[1]])
 
 
-def factors(k: float) -> list[float]:
+def factors(k):
     """Hinch & Leal's A, B, C: stress 2 mu (A <pppp>:E + B (<pp>.E + E.<pp>) + C E)."""
     s0, s1, s2, _ = np.resize(body(k).stress.numbers, 4) / (2.0 * body(k).shape.volume)
     return [float(1.5 * s0 - 2.0 * s1 + 0.5 * s2), float(s1 - s2), float(s2)]
 
 
-def second_order(linear: tuple[float, float], index: int, small: float = 0.01) -> float:
+def second_order(linear, index, small=0.01):
     """Coefficient of e^2 in a factor of r = 1 + e: what is left of it over e^2, extrapolated."""
     left = [
         (factors(1.0 / (1.0 + e))[index] - linear[0] - linear[1] * e) / e**2
@@ -105,7 +103,7 @@ def second_order(linear: tuple[float, float], index: int, small: float = 0.01) -
     return 2.0 * left[0] - left[1]
 
 
-def near_sphere(number: float, small: float = 0.02) -> list[float]:
+def near_sphere(number, small=0.02):
     """[eta], N1 and N2 of spheroids r = 1 + e over e^2, less those at rest, where e is small."""
     sides = [body(1.0 / (1.0 + sign * small)) for sign in (1, -1)]
     found = [qs.rheology(side, SHEAR, [1e-6, number]) for side in sides]
@@ -113,7 +111,7 @@ def near_sphere(number: float, small: float = 0.02) -> list[float]:
     return (means[:, 0] / small**2).tolist()
 
 
-def extension(k: float, number: float) -> float:
+def extension(k, number):
     """Relative error of <pp> in uniaxial extension against psi ~ exp(lambda Pe p.E.p/2)."""
     flow = qs.flow("polynomial", gradient=np.diag([-0.5, -0.5, 1.0]).tolist())
     found = qs.rheology(body(k), flow, number)
@@ -125,7 +123,7 @@ def extension(k: float, number: float) -> float:
     return abs(float(found.order_tensor[2, 2]) / exact - 1.0)
 
 
-def curves(ratios: list[float], numbers: list[float], found: Table) -> None:
+def curves(ratios, numbers, found):
     """Material functions of bodies k over Peclet numbers."""
     for k in ratios:
         result = qs.rheology(body(k), SHEAR, numbers)
@@ -134,7 +132,7 @@ def curves(ratios: list[float], numbers: list[float], found: Table) -> None:
             found.add(aspect_ratio=k, peclet_number=number, **values)
 
 
-def limits(ratios: list[float], found: Table) -> None:
+def limits(ratios, found):
     """[eta] at small Pe, and over orbits: rolling, tumbling, isotropic at first."""
     starts = {"rolling": [0, 0, 1], "tumbling": [1, 0, 0], "isotropic": "isotropic"}
     for k in ratios:
@@ -142,7 +140,7 @@ def limits(ratios: list[float], found: Table) -> None:
         found.add(aspect_ratio=k, at_rest=viscosity(k, 1e-6), **orbits)
 
 
-def oscillation(k: float) -> float:
+def oscillation(k):
     """Relative error of the complex viscosity at w = 6 D against one relaxation time."""
     result = qs.rheology(body(k), SHEAR, 0.006, protocol="oscillation", amplitude=1e-3)
     facts = result.summary
@@ -153,7 +151,7 @@ def oscillation(k: float) -> float:
     return float(abs(measured / exact - 1.0))
 
 
-def draw(table: Table, ends: Table) -> None:
+def draw(table, ends):
     """Material functions over Pe, and the limits of [eta] over k."""
     with common.figure("rheology", style.PAGE, 4.6) as drawn:
         panels = np.ravel(drawn.subplots(2, 2))
@@ -176,7 +174,7 @@ def draw(table: Table, ends: Table) -> None:
         style.letter_panels(panels)
 
 
-def published(small: bool) -> dict[str, float]:
+def published(small):
     """A table of what is ours and what is published; the differences."""
     rods = {r: v for r, v in PROLATE.items() if r in SCHERAGA or not small}
     discs = {r: v for r, v in OBLATE.items() if r in SCHERAGA or not small}
@@ -203,12 +201,7 @@ def published(small: bool) -> dict[str, float]:
         ("rod, least", viscosity(1 / 50, np.inf, orientations=[0, 0, 1]), 2.0, "Jeffery"),
         ("disc, least", 2.0 * flat[1] - flat[0], 2.061, "Jeffery"),
         ("dumbbell, Psi_1 at rest", low[1], 1.2, "Bird et al."),
-        (
-            "[eta], second order",
-            (1.0 - slow[0] / low[0]) / x**2,
-            18 / 35,
-            "Bird et al.",
-        ),
+        ("[eta], second order", (1.0 - slow[0] / low[0]) / x**2, 18 / 35, "Bird et al."),
         ("Psi_1, second order", (1.0 - slow[1] / low[1]) / x**2, 38 / 35, "Bird et al."),
         ("[eta] (rate lambda)^(1/3)", high[0] * y ** (1 / 3), 0.678, "Stewart & Sorensen"),
         ("Psi_1 (rate lambda)^(4/3)", high[1] * y ** (4 / 3), 1.20, "Stewart & Sorensen"),
@@ -237,7 +230,8 @@ def published(small: bool) -> dict[str, float]:
     }
 
 
-def main(small: bool) -> dict[str, float]:
+@common.command
+def main(small):
     """The tables, the figure, and what is held against published numbers."""
     table = Table("rheology", "material functions per volume fraction, mu and rate")
     ends = Table("rheology_limits", "intrinsic viscosities at small Peclet number and on orbits")
@@ -255,7 +249,3 @@ def main(small: bool) -> dict[str, float]:
         "smallest N1": table[NAMES[1]].min(),
         "largest N2": table[NAMES[2]].max(),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

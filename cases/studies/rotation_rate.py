@@ -9,10 +9,7 @@ Expected: every rate within 5e-7 of the shear rate of the periodic solution; the
           St J1/R1 = 1.03 to 1.05 for every aspect ratio.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -27,7 +24,7 @@ from qbxstokes.reference import heavy
 HALF_TURNS = 4
 
 
-def run(k: float, stokes_numbers: list[float], rates: Table) -> None:
+def run(k, stokes_numbers, rates):
     """Add the mean rates of bodies that tumble in the plane of shear."""
     scale = heavy.relaxation_rates(k)[2]
     found = averages(body(k, stokes_numbers), SHEAR, orbit(k, math.inf), HALF_TURNS,
@@ -37,11 +34,11 @@ def run(k: float, stokes_numbers: list[float], rates: Table) -> None:
                   uncertainty=error, theory=heavy.mean_rotation_rate(k, st))  # fmt: skip
 
 
-def halfway(k: float) -> tuple[float, float]:
+def halfway(k):
     """St where the theory's rate is halfway between k/(1+k^2) and 1/2, and its slope there."""
     middle, scale = 0.5 * (0.5 + k / (1.0 + k * k)), heavy.relaxation_rates(k)[2]
 
-    def excess(logarithm: float) -> float:
+    def excess(logarithm):
         return heavy.mean_rotation_rate(k, scale * math.exp(logarithm)) - middle
 
     stokes = scale * math.exp(float(brentq(excess, math.log(0.5), math.log(2.0), xtol=1e-6)))
@@ -49,7 +46,7 @@ def halfway(k: float) -> tuple[float, float]:
     return stokes, (high - low) / (2e-3 * stokes)
 
 
-def transition(k: float, runs: Table) -> dict[str, Any]:
+def transition(k, runs):
     """The transition of the runs, and the limits of light and of heavy bodies.
 
     Corrected by the theory, the runs give the transition without error of interpolation: where
@@ -70,7 +67,7 @@ def transition(k: float, runs: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def half_turn(k: float, stokes: float) -> tuple[Any, Any]:
+def half_turn(k, stokes):
     """Angle from the stream over pi, and angular speed, from one alignment to the next."""
     half = heavy.tumbling(k, stokes).half_turn
     relaxed = TRANSIENT * stokes / heavy.relaxation_rates(k)[2]
@@ -81,7 +78,7 @@ def half_turn(k: float, stokes: float) -> tuple[Any, Any]:
     return angle - np.floor(angle[0]), -motion.angular_velocity[:, 2]
 
 
-def draw(rates: Table, transitions: Table, small: bool) -> None:
+def draw(rates, transitions, small):
     """A turn, rate against St, its collapse over St J1/R1, and the transition against k."""
     with common.figure("rotation_rate", style.PAGE, 4.8) as figure:
         turn, raw, collapsed, place = panels = figure.subplots(2, 2).ravel()
@@ -120,7 +117,8 @@ def draw(rates: Table, transitions: Table, small: bool) -> None:
         style.letter_panels(list(panels))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest difference of a rate, and the extreme lags."""
     lags = np.array([0.1, 1.0, 10.0]) if small else np.geomspace(0.03, 100.0, 15)
     rates = Table("rotation_rate", "rates over the shear rate; lag: St J1/R1")
@@ -144,7 +142,3 @@ def main(small: bool = False) -> dict[str, float]:
         "smallest lag of the transition": transitions["lag"].min(),
         "largest lag of the transition": transitions["lag"].max(),
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -9,10 +9,7 @@ Expected: displacements to higher shear of 0.202 (k = 1/2, St = 10, t = 600) and
           St = 1, t = 200).
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -29,7 +26,7 @@ LABELS = ("across the stream\n$x_i-x_i(0)$", "velocity $V_1$", "$V_2,V_3$", "axi
           r"$\mathbf{\Omega}$")  # fmt: skip
 
 
-def draw(k: float, stokes: float, end: float, panels: Any, first: bool) -> float:
+def draw(k, stokes, end, panels, first):
     """Integrate and draw one run; how far it moves across the stream."""
     motion = qs.Simulation(
         body(k, stokes), paraboloid(DISTANCE), position=(0.0, DISTANCE, 0.0),
@@ -59,7 +56,8 @@ def draw(k: float, stokes: float, end: float, panels: Any, first: bool) -> float
     return float(x[-1, 1])
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run and draw; the displacements across the stream."""
     runs = ((0.5, 10.0, 60.0),) if small else ((0.5, 10.0, 600.0), (2.0, 1.0, 200.0))
     found = {}
@@ -69,7 +67,3 @@ def main(small: bool = False) -> dict[str, float]:
             found[f"displacement, k = {run[0]:g}"] = draw(*run, panels[:, column], column == 0)
         figure.align_ylabels(panels[:, 0])
     return found
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -12,10 +12,7 @@ Expected: errors of axes below 1e-8 (1e-10 for 0.1 <= k <= 10), of periods and o
           1e-10, of paths across the stream, relative to their extent, below 1e-8.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import common
 import numpy as np
@@ -29,7 +26,7 @@ from qbxstokes.reference import chwang, heavy, inertial, jeffery
 AXES = axes([[0.48, -0.6, 0.64], [0.6, 0.8, 0.0], [0.1, 0.2, 0.97], [1.0, 0.0, 0.0]])
 
 
-def run(k: float, stokes: float, distance: float, start: Any, periods: int) -> qs.Motion:
+def run(k, stokes, distance, start, periods):
     """The motion of bodies in shear, or at a distance from the axis of the paraboloid."""
     flow = paraboloid(distance) if distance else SHEAR
     times = np.linspace(0.0, periods * jeffery.period(k), 100 * periods + 1)
@@ -38,7 +35,7 @@ def run(k: float, stokes: float, distance: float, start: Any, periods: int) -> q
     return scene.integrate(times)
 
 
-def orbits(k: float, constants: list[float], found: Table) -> None:
+def orbits(k, constants, found):
     """Massless bodies in shear, three periods."""
     for constant, start in zip(constants, orbit(k, constants, 0.3), strict=True):
         errors = run(k, 0.0, 0.0, start, 3).errors()
@@ -46,7 +43,7 @@ def orbits(k: float, constants: list[float], found: Table) -> None:
         found.add(aspect_ratio=k, orbit_constant=constant, **errors)
 
 
-def drifting(k: float, distance: float, found: Table) -> None:
+def drifting(k, distance, found):
     """Massless bodies in the paraboloid, two periods, four orientations."""
     motion = run(k, 0.0, distance, AXES, 2)
     velocity, turned = [], []
@@ -60,7 +57,7 @@ def drifting(k: float, distance: float, found: Table) -> None:
     found.add(aspect_ratio=k, distance=distance, velocity=max(velocity), axis=max(turned))
 
 
-def in_plane(k: float, stokes: float, found: Table) -> None:
+def in_plane(k, stokes, found):
     """Inertial bodies in Chwang's orientation, three lengths off the axis, two periods."""
     distance, phi = 3.0, 0.5
     motion = run(k, stokes, distance, axes([[math.sin(phi), -math.cos(phi), 0.0]])[0], 2)
@@ -72,7 +69,7 @@ def in_plane(k: float, stokes: float, found: Table) -> None:
               across=across)  # fmt: skip
 
 
-def draw(massless: Table, heavy_ones: Table) -> None:
+def draw(massless, heavy_ones):
     """Error of the axis in shear against aspect ratio and Stokes number."""
     with common.figure("validation", style.PAGE, 2.8) as figure:
         panels = figure.subplots(1, 2)
@@ -89,7 +86,8 @@ def draw(massless: Table, heavy_ones: Table) -> None:
         style.letter_panels(list(panels))
 
 
-def main(small: bool = False) -> dict[str, float]:
+@common.command
+def main(small=False):
     """Run, print, write and draw; the largest errors."""
     ratios = (0.5, 2.0) if small else (0.05, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 20.0)
     stokes_numbers = (10.0, 100.0) if small else (0.1, 1.0, 10.0, 100.0, 1000.0)
@@ -127,7 +125,3 @@ def main(small: bool = False) -> dict[str, float]:
         for table in tables
         for name in list(table.rows[0])[2:]
     }
-
-
-if __name__ == "__main__":
-    common.command(main)

@@ -1,34 +1,32 @@
-"""Do motions and ensembles keep their tolerance in flows that change? 200 seeded runs.
+"""Do motions and ensembles keep their tolerance in flows that change? RUNS=200 follows so many.
 
 One spheroid, k log-uniform in [1/50, 50], St = 0 or log-uniform in [1e-2, 1e3], tolerance in
 [1e-10, 1e-4], over T = 10 in a gradient of five cosines: as a function, sampled with linear
 interpolation, held from sample to sample, or a pulse of width 0.02 to 0.2 in a fluid at rest. The
 axis at the end, of `Body.integrate` (PETSc TS) and of an ensemble, against ensembles at 1e-12,
 which are another method (held against SciPy's DOP853 in tests/test_ensemble.py).
-
-Run:      python cases/benchmarks/tolerances.py      (3 min; --small: 10 s; --csv)
-Expected: worst errors of 1.3 tolerances (motions; 10 are allowed) and 0.006 (ensembles). Where
-          stability or the longest step limits the step, they are far below.
 """
 
 from __future__ import annotations
 
-import time
+import os
 from typing import Any
 
 import numpy as np
-from measure import Rows, command
+import pytest
+from conftest import See
 
 import qbxstokes as qs
 from qbxstokes.simulation.ensemble import Ensemble
 
 END = 10.0
 FREQUENCY = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
+RUNS = int(os.environ.get("RUNS", 16))
 KINDS = ("smooth", "linear", "hold", "pulse")
 
 
-def scene(seed: int) -> tuple[str, Any, Any, Any, Any, float]:
-    """Kind, body, axis, flow, its samples and the tolerance."""
+def scene(seed: int) -> tuple[Any, ...]:
+    """Body, axis, flow, its samples and the tolerance."""
     rng, kind = np.random.default_rng(seed), KINDS[seed % 4]
     k, tolerance = float(50.0 ** rng.uniform(-1, 1)), float(10.0 ** rng.uniform(-10, -4))
     stokes = 0.0 if rng.uniform() < 0.5 else float(10.0 ** rng.uniform(-2, 3))
@@ -51,46 +49,21 @@ def scene(seed: int) -> tuple[str, Any, Any, Any, Any, float]:
     keys: dict[str, Any] = {"longest_step": width} if kind == "pulse" else {}
     given = series.path(0) if rule == kind else gradient
     flow = qs.flow("linear", gradient=given, **keys)
-    return (
-        kind,
-        qs.Body(k, stokes_number=stokes),
-        axis / np.linalg.norm(axis),
-        flow,
-        series,
-        tolerance,
-    )
+    body = qs.Body(k, stokes_number=stokes)
+    return body, axis / np.linalg.norm(axis), flow, series, tolerance
 
 
-def main(small: bool = False) -> dict[str, Rows]:
-    """The table: a row for each kind, without and with inertia."""
-    found: dict[tuple[str, int], list[tuple[float, float, float]]] = {}
-    for seed in range(16 if small else 200):
-        kind, body, axis, flow, series, tolerance = scene(seed)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", range(4), ids=KINDS)
+def test_motions_and_ensembles_keep_their_tolerance(see: See, kind: int) -> None:
+    """Errors over the tolerance: 10 are allowed to a motion, 1 to an ensemble."""
+    for seed in range(kind, RUNS, 4):
+        body, axis, flow, series, tolerance = scene(seed)
         exact, paths = (
             Ensemble((body,), series, axis, tolerance=asked).follow(0)[1][0, 0]
             for asked in (1e-12, tolerance)
         )
-        begin = time.thread_time()
         end = body.integrate(flow, [END], orientation=axis, tolerance=tolerance).axis[-1]
-        spent = time.thread_time() - begin
-        errors = (float(np.abs(p - exact).max()) / tolerance for p in (end, paths))
-        found.setdefault((kind, int(bool(body.stokes_number))), []).append((*errors, spent))
-    rows = []
-    for (kind, inertia), runs in sorted(found.items()):
-        motions, ensembles, spans = np.array(runs).T
-        rows.append(
-            {
-                "kind": kind,
-                "inertia": inertia,
-                "runs": len(runs),
-                "worst": float(motions.max()),
-                "median": float(np.median(motions)),
-                "ensembles_worst": float(ensembles.max()),
-                "ms": 1e3 * float(np.median(spans)),
-            }
-        )
-    return {"tolerances": rows}
-
-
-if __name__ == "__main__":
-    command(main)
+        where = f"seed {seed}, St = {body.stokes_number:g}, tolerance {tolerance:.0e}"
+        see(np.abs(end - exact).max() / tolerance, 10.0, f"motion, {where}")
+        see(np.abs(paths - exact).max() / tolerance, 1.0, f"ensemble, {where}")
