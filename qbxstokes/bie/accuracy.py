@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -150,14 +150,13 @@ def accurate_body(
     """
     if not shape.fore_aft:
         raise CaseError(f"the law of a body without fore-aft symmetry is not known: {shape}")
-    trial = scheme or choose_scheme(tolerance, side=side)
-    for _ in range(4):
+
+    def formed(trial: Scheme) -> tuple[AccurateBody, ErrorParts]:
         body = _form(shape, trial, completion, solver, form_rows)
-        parts = estimate_error(body, completion, form_rows, degree)
-        refined = None if isinstance(trial, UniformScheme) else refined_scheme(trial, parts)
-        if scheme is not None or parts.total <= tolerance or refined is None:
-            break
-        trial = refined
+        return body, estimate_error(body, completion, form_rows, degree)
+
+    first = scheme or choose_scheme(tolerance, side=side)
+    body, parts = refined(formed, first, tolerance, fixed=scheme is not None)
     if strict and scheme is None and parts.total > tolerance:
         raise ConvergenceError(
             f"the estimated error {parts.total:.1e} of the hydrodynamics exceeds the tolerance "
@@ -169,7 +168,7 @@ def accurate_body(
     model = replace(
         body.model, error_estimate=max(parts.total, body.model.error_estimate), error_parts=parts
     )
-    return AccurateBody(model, body.functional, trial)
+    return AccurateBody(model, body.functional, body.scheme)
 
 
 def plain_body(
@@ -182,6 +181,25 @@ def plain_body(
     """The body model of a given scheme; its estimate is the misfit of the polynomial law alone."""
     body = _form(shape, scheme, completion, solver, form_rows)
     return AccurateBody(body.model, body.functional, scheme)
+
+
+Found = TypeVar("Found")
+
+
+def refined(
+    formed: Callable[[Scheme], tuple[Found, ErrorParts]],
+    scheme: Scheme,
+    tolerance: float,
+    fixed: bool,
+) -> tuple[Found, ErrorParts]:
+    """What is formed of a scheme: a fixed one, or one refined until the error is tolerated."""
+    for _ in range(4):
+        found, parts = formed(scheme)
+        finer = None if isinstance(scheme, UniformScheme) else refined_scheme(scheme, parts)
+        if fixed or parts.total <= tolerance or finer is None:
+            break
+        scheme = finer
+    return found, parts
 
 
 def refined_scheme(scheme: GradedScheme, parts: ErrorParts) -> GradedScheme | None:
@@ -237,40 +255,50 @@ def estimate_error(
         operators = surface_operators(shape, scheme, 3, completion, body.rows)
         solver = model_distance(body.model, body_model(operators, body.direct), degree)
     rounding = _rounding(body, completion, degree)
+
+    def formed(other: Scheme) -> _Body:
+        return _form(shape, other, completion, DirectSolver, form_rows)
+
+    def distance(one: AccurateBody, other: AccurateBody) -> float:
+        return model_distance(one.model, other.model, degree)
+
+    def tail(found: AccurateBody) -> float:
+        resolution, used = adjoint_tail(found.functional), found.scheme
+        if completion != "point":
+            return resolution
+        # The flow of a point in the body is no polynomial on its surface: only more nodes tell.
+        denser = replace(used, n_theta=used.n_theta + 4, expansion_order=used.expansion_order + 4)
+        return max(resolution, 1.5 * distance(found, formed(denser)))
+
+    return parts_of(body, scheme, formed, distance, tail, solver, rounding)
+
+
+def parts_of(
+    found: Found,
+    scheme: Scheme,
+    formed: Callable[[Scheme], Found],
+    distance: Callable[[Found, Found], float],
+    tail: Callable[[Found], float],
+    solver: float,
+    rounding: float,
+) -> ErrorParts:
+    """Errors of what was found by a scheme, from its distances to what finer ones give.
+
+    formed: by another scheme. tail: what the nodes leave out, by the last coefficients.
+    """
     if isinstance(scheme, UniformScheme):
-        changes = {
-            name: model_distance(
-                body.model,
-                _form(shape, other, completion, DirectSolver, form_rows).model,
-                degree,
-            )
-            for name, other in coarser_schemes(scheme).items()
-        }
+        others = coarser_schemes(scheme).items()
+        changes = {name: distance(found, formed(other)) for name, other in others}
         return ErrorParts(**changes, solver=solver, rounding=rounding)
     finer = replace(scheme, panel_order=scheme.panel_order + 2)
-    higher = replace(finer, expansion_order=scheme.expansion_order + 2)
-    by_panels = _form(shape, finer, completion, DirectSolver, form_rows)
-    by_order = _form(shape, higher, completion, DirectSolver, form_rows)
+    panels = formed(finer)
+    both = formed(replace(finer, expansion_order=scheme.expansion_order + 2))
     # A difference no larger than the rounding errors of its terms shows these, counted already.
     # The finer one errs as well, by less.
-    quadrature = 1.5 * model_distance(body.model, by_panels.model, degree) - rounding
-    truncation = 1.5 * model_distance(by_panels.model, by_order.model, degree) - rounding
-    # Of the finest panels, whose quadrature adds the least to the coefficients.
-    resolution = adjoint_tail(by_order.functional)
-    if completion == "point":
-        # The flow of a point in the body is no polynomial on its surface: only more nodes tell.
-        denser = replace(
-            higher, n_theta=scheme.n_theta + 4, expansion_order=higher.expansion_order + 4
-        )
-        other = _form(shape, denser, completion, DirectSolver, form_rows).model
-        resolution = max(resolution, 1.5 * model_distance(by_order.model, other, degree))
-    return ErrorParts(
-        quadrature=max(quadrature, 0.0),
-        truncation=max(truncation, 0.0),
-        resolution=resolution,
-        solver=solver,
-        rounding=rounding,
-    )
+    quadrature = max(1.5 * distance(found, panels) - rounding, 0.0)
+    truncation = max(1.5 * distance(panels, both) - rounding, 0.0)
+    # The tail is of the finest panels, whose quadrature adds the least to the coefficients.
+    return ErrorParts(quadrature, truncation, tail(both), solver, rounding)
 
 
 def coarser_schemes(scheme: UniformScheme) -> dict[str, UniformScheme]:

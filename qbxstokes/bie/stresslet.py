@@ -27,9 +27,9 @@ import numpy as np
 from qbxstokes.bie.accuracy import (
     ROUNDING_FLOOR,
     RowFormer,
-    coarser_schemes,
+    parts_of,
     perturbed_rows,
-    refined_scheme,
+    refined,
 )
 from qbxstokes.bie.functional import ErrorParts, GridFunctional
 from qbxstokes.bie.mobility import mobility_blocks
@@ -44,7 +44,6 @@ from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.operator import (
     Scheme,
-    UniformScheme,
     blocks_from_rows,
     independent_rows,
     layer_rows,
@@ -157,13 +156,12 @@ def accurate_stresslet(
     scheme: such as the one that served the body's motion; fixed: it is not to be refined. strict:
     raise ConvergenceError where rounding keeps the estimate above the tolerance.
     """
-    for _ in range(4):
-        found = _with_estimate(shape, scheme, solver, form_rows)
-        parts = found.error_parts
-        refined = None if isinstance(scheme, UniformScheme) else refined_scheme(scheme, parts)
-        if fixed or parts.total <= tolerance or refined is None:
-            break
-        scheme = refined
+
+    def formed(trial: Scheme) -> tuple[Stresslet, ErrorParts]:
+        found = _with_estimate(shape, trial, solver, form_rows)
+        return found, found.error_parts
+
+    found, parts = refined(formed, scheme, tolerance, fixed)
     if strict and not fixed and parts.total > tolerance:
         raise ConvergenceError(
             f"the estimated error {parts.total:.1e} of the stresslet exceeds the tolerance "
@@ -179,10 +177,9 @@ def _with_estimate(
     """The stresslet with its error, told as in `accuracy.estimate_error`: by refinement alone."""
     rows = stresslet_rows(shape, scheme, form_rows)
     functional = stresslet_functional(shape, scheme, solver, rows)
-    numbers = functional.numbers()
 
-    def change(other: Array) -> float:
-        return float(np.max(np.abs(other / numbers - 1.0)))
+    def change(one: StressletFunctional, other: StressletFunctional) -> float:
+        return float(np.max(np.abs(other.numbers() / one.numbers() - 1.0)))
 
     def formed(other: Scheme) -> StressletFunctional:
         return stresslet_functional(shape, other, form_rows=form_rows)
@@ -192,25 +189,12 @@ def _with_estimate(
         direct = stresslet_functional(shape, scheme, rows=rows)
     # That of the panels of a flat body moves all entries alike, which no perturbation shows.
     rounding = ROUNDING_FLOOR * max(1.0, 0.5 * shape.radius) + max(
-        change(stresslet_functional(shape, scheme, rows=moved).numbers())
+        change(functional, stresslet_functional(shape, scheme, rows=moved))
         for moved in perturbed_rows(functional.grid, scheme, rows)
     )
-    if isinstance(scheme, UniformScheme):
-        changes = {
-            name: change(formed(other).numbers()) for name, other in coarser_schemes(scheme).items()
-        }
-    else:
-        finer = replace(scheme, panel_order=scheme.panel_order + 2)
-        higher = formed(replace(finer, expansion_order=scheme.expansion_order + 2))
-        panels = formed(finer).numbers()
-        truncated = float(np.max(np.abs(higher.numbers() / panels - 1.0)))
-        changes = {
-            "quadrature": max(1.5 * change(panels) - rounding, 0.0),
-            "truncation": max(1.5 * truncated - rounding, 0.0),
-            "resolution": _tail(higher),
-        }
-    parts = ErrorParts(**changes, solver=change(direct.numbers()), rounding=rounding)
-    return Stresslet(functional, numbers, parts)
+    off = change(functional, direct)
+    parts = parts_of(functional, scheme, formed, change, _tail, off, rounding)
+    return Stresslet(functional, functional.numbers(), parts)
 
 
 def _tail(functional: StressletFunctional) -> float:
