@@ -105,9 +105,7 @@ def two_ranks():
             "start": {"position": at, "orientation": {"quaternion": turn}},
             "forces": {"force": force},
         }
-        for at, turn, force in zip(
-            *(part.tolist() for part in scattered(0.05, 12, 0.3)), strict=True
-        )
+        for at, turn, force in placed
     ]
     case = {
         "bodies": bodies,
