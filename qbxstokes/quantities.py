@@ -299,7 +299,7 @@ end             | t | tau | last instant || last instant $t$
 steps           |   | 1   | steps of the integrator
 rhs_evaluations |   | 1   | right-hand sides
 iterations      |   | 1   | GMRES iterations
-error_estimate  |   | 1   | estimated error of the velocities, or of the resistance, relative
+error_estimate  |   | 1   | expected error at the end, or that of the resistance, relative
 wall_time       |   | s   | wall time
 """)
 

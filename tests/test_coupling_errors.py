@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,26 @@ def test_the_edge_of_a_disc_near_a_flank_is_served_and_told() -> None:
     error = np.abs(found.force - exact.force).max()
     assert error < 1e-6 * np.abs(exact.force).max()
     assert error < found.error_estimate["force"] < 100.0 * error
+
+
+def test_motions_end_within_their_expected_error() -> None:
+    pair = [qs.Body(1.0)] * 2, qs.flow("shear"), None
+    scenes: list[tuple[Any, Any, float]] = [
+        (pair, {"position": [[-3, 1.1, 0], [3, -1.1, 0]]}, 6.0),
+        (
+            ([qs.Body(0.5)], STRAIN, UP),
+            {"position": [[0, 0, 1.4]], "orientation": [[0.8, 0.0, 0.6]]},
+            8.0,
+        ),
+    ]
+    for scene, start, end in scenes:
+        ends = []
+        for tolerance in (1e-3, 1e-6):
+            found = qs.Simulation(
+                *scene, **start, tolerance=tolerance, resolution=max(tolerance, 1e-5)
+            ).integrate([0.0, end])
+            ends.append((np.hstack([found.position[-1], found.axis[-1]]), found))
+        (rough, found), (fine, _) = ends
+        expected = found.summary["expected_error"]
+        assert expected["total"] == pytest.approx(sum(list(expected.values())[1:]))
+        assert np.abs(rough - fine).max() < expected["total"] < 1e-2

@@ -35,6 +35,7 @@ from qbxstokes.motion.wall_constants import WallConstants
 
 Array = NDArray[np.float64]
 
+_MEETING = 4.0  # times that an error grows as two bodies pass each other
 # Step of the differences of a Jacobian, well above the error of the rates.
 _STEP = 1e-4
 
@@ -192,10 +193,16 @@ class CoupledEquations(RigidBodyEquations):
         return y
 
     def sensitivity(self, t: float, y: Array, horizon: float) -> float:
-        """How many times the error of one step may grow: that of the most slender body alone."""
+        """How many times the error of one step may grow.
+
+        As that of the most slender body alone; a gradient carries bodies apart that are off, and
+        bodies that meet part further off than they came.
+        """
         slenderness = np.maximum(self._ratios, 1.0 / self._ratios)
         turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
-        return float(np.max(slenderness * slenderness * np.maximum(1.0, turns)))
+        alone = np.max(slenderness * slenderness * np.maximum(1.0, turns))
+        carried = np.linalg.norm(self._flow_gradient(t, y), axis=(1, 2)).max() * horizon
+        return float(alone * (1.0 + carried) * (_MEETING if self.n_lanes > 1 else 1.0))
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
         return self.fluid.gradient(t, y[:, POSITION])

@@ -61,6 +61,7 @@ class Meetings(EventLog):
     edges: bool = False
     turning: Sequence[str] = ()
     nearest: tuple[float, tuple[int, int], float] | None = None
+    nearest_state: Array | None = None
     _latest: tuple[float, Nearness] | None = None
     _speeds: dict[str, list[float]] = field(default_factory=dict)
 
@@ -68,6 +69,7 @@ class Meetings(EventLog):
         """All that is remembered from step to step, as plain data for a checkpoint."""
         return super().state() | {
             "nearest": self.nearest,
+            "nearest_state": None if self.nearest_state is None else self.nearest_state.tolist(),
             "speeds": {name: list(row) for name, row in self._speeds.items()},
         }
 
@@ -77,11 +79,13 @@ class Meetings(EventLog):
         if state["nearest"] is not None:
             gap, pair, t = state["nearest"]
             self.nearest = gap, (pair[0], pair[1]), t
+            if state.get("nearest_state") is not None:
+                self.nearest_state = np.array(state["nearest_state"])
         self._speeds = {name: list(row) for name, row in state["speeds"].items()}
 
     def begin(self, t: float, y: Array) -> None:
         """Look at the start."""
-        self._note(t, self.nearness(y))
+        self._note(t, self.nearness(y), y)
         for name in self.turning:
             self._speeds[name] = self._rates(name, t, y).tolist()
 
@@ -120,7 +124,7 @@ class Meetings(EventLog):
             if end[2].room <= 0.0:
                 return self._crossing(step, begin[0], begin[2], end)
             begin = todo.pop()
-            self._note(begin[0], begin[2])
+            self._note(begin[0], begin[2], begin[1])
         self._latest = begin[0], begin[2]
         return None
 
@@ -150,9 +154,9 @@ class Meetings(EventLog):
             ways.append(float(apart.max(where=~np.eye(len(way), dtype=bool), initial=0.0)))
         return _BENT * max(ways)
 
-    def _note(self, t: float, near: Nearness) -> None:
+    def _note(self, t: float, near: Nearness, y: Array) -> None:
         if self.nearest is None or near.gap < self.nearest[0]:
-            self.nearest = near.gap, near.pair, t
+            self.nearest, self.nearest_state = (near.gap, near.pair, t), np.array(y)
 
     # -- turning points -----------------------------------------------------------------------
 

@@ -207,10 +207,10 @@ def coupled_seconds(plan: MotionPlan) -> float:
         chunk_steps=1,
     )
     steps, share = time.process_time(), trajectory.reached / float(plan.times[-1])
-    # Samples take a solve each, and the estimates of errors, at both ends, two.
+    # Samples take a solve each, and the estimates of errors, at both ends and between, two.
     sample = (steps - first) / (fluid.solves - solves) if fluid.solves > solves else 0.0
     fluid.estimate(0.0, assembled.initial)
-    ends = first - begin + 2.0 * (time.process_time() - steps)
+    ends = first - begin + 3.0 * (time.process_time() - steps)
     return ends + (steps - first) / max(share, 1e-6) + len(plan.times) * sample
 
 

@@ -202,7 +202,7 @@ def _of_several(loaded: LoadedCase, result: BlockResult) -> dict[str, Any]:
             "steps": told["steps"],
             "rhs_evaluations": told["rhs_evaluations"],
             "iterations": told["iterations"],
-            "error_estimate": told["velocity_errors"]["velocity"],
+            "error_estimate": told["expected_error"]["total"],
         }
         vectors = {"final_position": motion.position[-1], "final_axis": motion.axis[-1]}
     for name, values in vectors.items():

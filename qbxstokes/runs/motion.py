@@ -220,7 +220,7 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
                 with job.clock.part("error estimate"):
                     assembled.estimate(trajectory, watch)
             return {
-                **coupled_assembly.facts(assembled),
+                **coupled_assembly.facts(assembled, trajectory),
                 "events": coupled_assembly.meetings_summary(watch),
                 "errors": {},
                 "largest_error": 0.0,

@@ -257,7 +257,8 @@ def _integrated(summary: dict[str, Any]) -> Rows:
     if "expected_error" in summary:
         (_, total), *parts = summary["expected_error"].items()
         made = ", ".join(f"{name} {error_text(value)}" for name, value in parts)
-        yield "expected error", f"{error_text(total)} of the axis at the end: {made}"
+        whose = "centres and axes" if "solves" in summary else "the axis"
+        yield "expected error", f"{error_text(total)} of {whose} at the end: {made}"
     if summary.get("sampling"):
         axis, place = (f"{summary['sampling'][name]:.2g}" for name in ("axis", "position"))
         yield "left by samples", f"{axis} of the axis at the end, {place} of the position"

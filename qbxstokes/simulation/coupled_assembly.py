@@ -242,9 +242,24 @@ class Together:
         return CoupledMotion.together(self, trajectory, watch)
 
     def estimate(self, trajectory: Any, watch: Meetings) -> None:
-        """Estimate the error of the velocities at the start and at the end."""
+        """Estimate the error of the velocities at the start, at the end and at the least gap."""
         self.fluid.estimate(0.0, self.initial)
-        self.fluid.estimate(trajectory.checkpoint.time, trajectory.checkpoint.state)
+        end = trajectory.checkpoint
+        self.fluid.estimate(end.time, end.state)
+        if watch.nearest is not None and watch.nearest_state is not None:
+            t = watch.nearest[2]
+            if 0.0 < t < end.time:
+                self.fluid.estimate(t, watch.nearest_state)
+
+    def expected_errors(self, end: float, rounding: float) -> dict[str, float]:
+        """Largest error of centres and axes to expect at the end, and what it consists of.
+
+        integration: the tolerance; grids: the estimated error of the velocities all the way;
+        rounding: of all steps. Bodies that meet, or fall as a cloud, may end further off.
+        """
+        grids = max(self.fluid.errors.values()) * end
+        parts = {"integration": self.scene.tolerance, "grids": grids, "rounding": rounding}
+        return {"total": sum(parts.values()), **parts}
 
 
 @dataclass(frozen=True)
@@ -270,7 +285,7 @@ class CoupledMotion(Motion):
         }
         summary = {
             **integration_facts(trajectory),
-            **facts(assembled),
+            **facts(assembled, trajectory),
             "events": meetings_summary(watch),
         }
         return cls(
@@ -324,14 +339,17 @@ class CoupledMotion(Motion):
         return Comparison()
 
 
-def facts(assembled: Together) -> dict[str, Any]:
-    """What the solves of a motion took, and the estimated errors of its velocities."""
-    fluid = assembled.fluid
-    return {
+def facts(assembled: Together, trajectory: Any) -> dict[str, Any]:
+    """What the solves of a motion took, the estimated errors of its velocities, and at its end."""
+    fluid, at = assembled.fluid, trajectory.checkpoint
+    found = {
         "solves": fluid.solves,
         "iterations": fluid.iterations,
         "velocity_errors": dict(fluid.errors),
     }
+    if fluid.errors:
+        found["expected_error"] = assembled.expected_errors(at.time, at.reachable)
+    return found
 
 
 def meetings_summary(watch: Meetings) -> dict[str, Any]:
