@@ -144,6 +144,13 @@ def test_series() -> None:
     assert np.all(column(tables["ensemble"], "us") > 0.0)
 
 
+@pytest.mark.slow
+def test_functions() -> None:
+    tables = small("functions")
+    assert np.all(column(tables["tolerance"], "error/tolerance") < 10.0)
+    assert np.all(column(tables["functions"], "each of many_us") > 0.0)
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_say_what_they_are(name: str) -> None:
     text = (FOLDER / f"{name}.py").read_text()

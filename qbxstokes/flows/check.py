@@ -115,17 +115,22 @@ def check_stokesian(
 
 
 def _points_in_ball(flow: Flow, centre: Array, radius: float, seed: int, count: int) -> Array:
-    rng = np.random.default_rng(seed)
-    directions = rng.normal(size=(50 * count, 3))
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    points = centre + radius * rng.uniform(size=(50 * count, 1)) ** (1.0 / 3.0) * directions
-    singular = flow.singular_points
+    points, singular = centre + radius * _unit_ball(seed, 50 * count), flow.singular_points
     if len(singular):
         separation = np.linalg.norm(points[:, None, :] - singular, axis=-1).min(axis=-1)
         # Where singularities crowd the ball, the farthest points are the best there are.
         clear = separation > 0.25 * radius
         points = points[clear] if clear.sum() >= count else points[np.argsort(-separation)]
     return points[:count]
+
+
+@cache
+def _unit_ball(seed: int, count: int) -> Array:
+    """Points at random (count, 3)."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    return np.asarray(rng.uniform(size=(count, 1)) ** (1.0 / 3.0) * directions)
 
 
 class Outline(Protocol):

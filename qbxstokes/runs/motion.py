@@ -80,7 +80,7 @@ def _followed(
     ConvergenceError where the motion cannot be followed further, likewise.
     """
     case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
-    with clock.part("motion"):
+    with clock.part("motion"), pointed(job.loaded):
         watch.begin(0.0, assembled.initial)
         receive = recording.receiver(assembled, watch)
         interruption.listening = True

@@ -1,0 +1,160 @@
+"""Users' functions as flows: what a right-hand side takes, and whether the tolerance is kept.
+
+A spheroid of k = 1/5 in rolls of length 30 that oscillate, T = 20, tolerance 1e-6: all of a run
+over its right-hand sides, checks of the steps included. `bar`: what it ought to be. Then bodies at
+random in flows of five distant stokeslets that the program knows nothing of, held against runs with
+a thousandth of the tolerance.
+
+Run:      python cases/benchmarks/functions.py      (3 min; --small: 40 s; --csv)
+Expected: a right-hand side of many bodies takes 1 us each by compiled functions, 3 by NumPy's, 0.2
+          by a given gradient; of one body 2 us, besides 7 ms of the run for looks at the flow,
+          and 130 us by NumPy's. Errors are below ten tolerances.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numba
+import numpy as np
+from measure import Rows, command, timed
+
+import qbxstokes as qs
+
+END, TOLERANCE, AXIS = 20.0, 1e-6, [0.48, 0.6, 0.64]
+
+
+def rolls(x: float, y: float, z: float, t: float, s: float) -> tuple[float, float, float]:
+    """The flow at a point."""
+    w = s * math.cos(t) * math.exp(0.03 * y)
+    return w * math.cos(0.03 * x), w * math.sin(0.03 * x), 0.0
+
+
+@numba.cfunc(
+    numba.void(*[numba.float64] * 4, *[numba.types.CPointer(numba.float64)] * 2), cache=True
+)
+def rolls_in_c(x, y, z, t, p, u):  # type: ignore[no-untyped-def]
+    """The same as a function of C."""
+    w = p[0] * math.cos(t) * math.exp(0.03 * y)
+    u[0], u[1], u[2] = w * math.cos(0.03 * x), w * math.sin(0.03 * x), 0.0
+
+
+def many(x: Any, t: float, s: float) -> Any:
+    """The same at many points."""
+    w = s * np.cos(t) * np.exp(0.03 * x[:, 1])
+    return np.stack([w * np.cos(0.03 * x[:, 0]), w * np.sin(0.03 * x[:, 0]), 0.0 * w], axis=1)
+
+
+def gradient(x: Any, t: float, s: float) -> Any:
+    """Its derivatives, d_j u_i."""
+    w = 0.03 * s * np.cos(t) * np.exp(0.03 * x[:, 1])
+    c, d = w * np.cos(0.03 * x[:, 0]), w * np.sin(0.03 * x[:, 0])
+    found = np.zeros((len(x), 3, 3))
+    found[:, 0, 0], found[:, 0, 1], found[:, 1, 0], found[:, 1, 1] = -d, c, c, d
+    return found
+
+
+def shear(x: Any, t: float, s: float) -> Any:
+    """An oscillating shear, which is recognised."""
+    found = np.zeros_like(x)
+    found[:, 0] = s * np.cos(t) * x[:, 1]
+    return found
+
+
+def main(small: bool = False) -> dict[str, Rows]:
+    """The tables."""
+    lanes, repeats = (256, 2) if small else (1000, 5)
+    known = {"parameters": {"s": 0.5}, "length": 30.0}
+    kinds: list[tuple[str, dict[str, Any], dict[str, Any], float | None]] = [
+        ("compiled", {"function": rolls, "compiled": True}, {}, 5.0),
+        ("of C", {"function": rolls_in_c, "compiled": True}, {}, 5.0),
+        ("compiled, St = 10", {"function": rolls, "compiled": True}, {"stokes_number": 10.0}, 5.0),
+        ("NumPy", {"function": many}, {}, None),
+        ("NumPy, St = 10", {"function": many}, {"stokes_number": 10.0}, None),
+        ("gradient by differences", {"function": many}, {"hydrodynamics": {"derivatives": 1}}, 1.0),
+        (
+            "gradient given",
+            {"function": many, "gradient": gradient},
+            {"hydrodynamics": {"derivatives": 1}},
+            0.2,
+        ),
+        ("recognised shear", {"function": shear}, {}, None),
+    ]
+    rows: Rows = []
+    axes = np.random.default_rng(1).normal(size=(lanes, 3))
+    for name, flow, body, bar in kinds:
+        row: dict[str, Any] = {"what": name, "bar_us": bar}
+        for count, start in ((1, AXIS), (lanes, axes)):
+            scene = qs.Simulation(
+                qs.Body(0.2, **body),
+                qs.flow("user", **flow, **known),
+                orientation=start,
+                tolerance=TOLERANCE,
+            ).assemble()
+            scene.motion([END])
+            spent, motion = timed(
+                lambda scene=scene: scene.motion([END]), repeats, time.thread_time
+            )
+            calls = motion.summary["rhs_evaluations"]
+            row[f"{'one' if count == 1 else 'each of many'}_us"] = 1e6 * spent / calls / count
+            if count == 1:
+                row["one_ms"] = 1e3 * spent
+        rows.append(row)
+    return {"functions": rows, "tolerance": _at_random(6 if small else 40)}
+
+
+def _at_random(count: int) -> Rows:
+    """Errors over tolerances of random bodies and flows."""
+    rows = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        k = float(np.exp(rng.uniform(np.log(1 / 40), np.log(40))))
+        tolerance, stokes_number = 10.0 ** -rng.uniform(4, 8), [0.0, 0.0, 3.0][seed % 3]
+        scale = max(1.0, k) * float(np.exp(rng.uniform(np.log(6), np.log(150))))
+        places, forces = rng.normal(size=(2, 5, 3))
+        places *= scale * rng.uniform(1.5, 2.5, (5, 1)) / np.linalg.norm(places, axis=1)[:, None]
+        turning = rng.uniform(0.2, 2.0, 5) * (seed % 2)
+
+        def flow(x: Any, t: float, of: Any = (places, scale**2 * forces, turning)) -> Any:
+            def stokeslets(d: Any) -> Any:
+                r = np.linalg.norm(d, axis=-1, keepdims=True)
+                return of[1] / r + d * np.sum(d * of[1], -1, keepdims=True) / r**3
+
+            found = stokeslets(x[:, None] - of[0]) - stokeslets(-of[0])
+            return 0.5 * np.sum(found * np.cos(of[2] * t)[:, None], axis=1)
+
+        body, end = qs.Body(k, stokes_number=stokes_number), float(rng.uniform(3.0, 9.0))
+        motion, true = (
+            body.integrate(
+                qs.flow("user", function=flow, length=scale),
+                [end],
+                orientation=AXIS,
+                tolerance=accepted,
+            )
+            for accepted in (tolerance, max(1e-3 * tolerance, 1e-12))
+        )
+        away = np.linalg.norm(motion.position[-1] - true.position[-1])
+        error = max(
+            float(np.abs(motion.axis[-1] - true.axis[-1]).max()),
+            float(away) / max(1.0, float(np.linalg.norm(true.position[-1]))),
+        )
+        rows.append(
+            {
+                "k": k,
+                "St": stokes_number,
+                "length over the body's": scale / max(1.0, k),
+                "tolerance": tolerance,
+                "error/tolerance": error / tolerance,
+                "points": " x ".join(map(str, motion.summary["coarsest_nodes"]))
+                + " to "
+                + " x ".join(map(str, motion.summary["finest_nodes"])),
+                "method": motion.summary["method"],
+            }
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    command(main)
