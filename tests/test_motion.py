@@ -221,8 +221,9 @@ def test_held_in_a_paraboloid(stokes_number: float) -> None:
     force, torque = equations.force_torque(0.0, y)
     d1 = rotation.matrix(q)[:, 0]
     body = rotation.to_body(q, force[0]), rotation.to_body(q, torque[0])
-    assert np.allclose(body[0], chwang.fixed_force(k, curvature, eta, axis[0], d1[0]))
-    assert np.allclose(body[1], chwang.fixed_torque(k, curvature, eta, axis[0]))
+    across, along = chwang.fixed_force(k, curvature, eta, axis[0], d1[0])
+    assert np.allclose(body[0], [across, 0.0, along])
+    assert np.allclose(body[1], [0.0, chwang.fixed_torque(k, curvature, eta, axis[0]), 0.0])
 
 
 @pytest.mark.parametrize("stokes_number", [0.0, 2.0])

@@ -339,8 +339,9 @@ def test_chwang_agrees_with_the_faxen_law_for_every_aspect_ratio(k):
     centre = np.array([0.4, eta, 0.0])
     cosine, sine = turn[0, 2], turn[0, 0]
     force, torque = faxen.fixed_force_torque(k, turn, centre, velocity, order=8)
-    body_force = chwang.fixed_force(k, curvature, eta, cosine, sine)
-    body_torque = chwang.fixed_torque(k, curvature, eta, cosine)
+    across, along = chwang.fixed_force(k, curvature, eta, cosine, sine)
+    body_force = np.array([across, 0.0, along])
+    body_torque = np.array([0.0, chwang.fixed_torque(k, curvature, eta, cosine), 0.0])
     assert turn @ body_force == pytest.approx(force, abs=3e-13 * np.abs(force).max())
     assert turn @ body_torque == pytest.approx(torque, abs=3e-13 * np.abs(torque).max())
 

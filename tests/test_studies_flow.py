@@ -119,7 +119,7 @@ def test_measured_rates_are_those_of_the_theory_within_the_uncertainty() -> None
     k, stokes, motions = 2.0, [1.0, 2.0], script("studies/motions")
     bodies, tumbling = motions.body(k, stokes), motions.orbit(k, math.inf)
     found = motions.averages(bodies, motions.paraboloid(32.0), tumbling, 4, (0.0, 32.0, 0.0))
-    rates = [heavy.mean_rotation_rate(k, st) for st in stokes]
+    rates = [heavy.tumbling(k, st).rate for st in stokes]
     drifts = [heavy.drift(k, st) / 64.0 for st in stokes]
     velocity, error = (values[:, 1] for values in found["velocity"])
     assert np.allclose(found["rotation_rate"][0], rates, rtol=1e-3)

@@ -29,7 +29,10 @@ HALF_TURNS = 2
 SMALL = 2e-3  # a tilt from rolling, or from the plane of shear, that counts as small
 SLOWEST = 0.02  # tilts that turn more slowly than this about rolling are not followed
 LARGEST = 0.1  # a rate whose uncertainty is a larger part of it is left out
-EXPONENTS = {"rolling": heavy.rolling_exponent, "tumbling": heavy.tumbling_exponent}
+EXPONENTS = {
+    "rolling": lambda k, st: heavy.rolling_mode(k, st).real,
+    "tumbling": heavy.tumbling_exponent,
+}
 
 
 def run(k, stokes_numbers, rates):

@@ -31,7 +31,7 @@ def run(k, stokes_numbers, rates):
                      relaxed=TRANSIENT * max(stokes_numbers) / scale)  # fmt: skip
     for st, rate, error in zip(stokes_numbers, *found["rotation_rate"], strict=True):
         rates.add(aspect_ratio=k, stokes_number=st, lag=st / scale, rotation_rate=rate,
-                  uncertainty=error, theory=heavy.mean_rotation_rate(k, st))  # fmt: skip
+                  uncertainty=error, theory=heavy.tumbling(k, st).rate)  # fmt: skip
 
 
 def halfway(k):
@@ -39,10 +39,10 @@ def halfway(k):
     middle, scale = 0.5 * (0.5 + k / (1.0 + k * k)), heavy.relaxation_rates(k)[2]
 
     def excess(logarithm):
-        return heavy.mean_rotation_rate(k, scale * math.exp(logarithm)) - middle
+        return heavy.tumbling(k, scale * math.exp(logarithm)).rate - middle
 
     stokes = scale * math.exp(float(brentq(excess, math.log(0.5), math.log(2.0), xtol=1e-6)))
-    high, low = (heavy.mean_rotation_rate(k, stokes * (1.0 + s)) for s in (1e-3, -1e-3))
+    high, low = (heavy.tumbling(k, stokes * (1.0 + s)).rate for s in (1e-3, -1e-3))
     return stokes, (high - low) / (2e-3 * stokes)
 
 
@@ -96,7 +96,7 @@ def draw(rates, transitions, small):
             runs = rates.where(aspect_ratio=k)
             x, y = runs["stokes_number"], runs["rotation_rate"]
             fine = np.geomspace(x[0], x[-1], 10 if small else 80)
-            exact = np.array([heavy.mean_rotation_rate(k, st) for st in fine])
+            exact = np.array([heavy.tumbling(k, st).rate for st in fine])
             line = {"color": color, "linestyle": "solid" if k < 1.0 else (0, (4, 1.5))}
             dots = {"color": color, "markerfacecolor": "white" if k < 1.0 else color}
             raw.plot(fine, exact, **line)

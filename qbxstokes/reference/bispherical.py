@@ -68,6 +68,16 @@ class Bispherical:
         x, w = np.polynomial.legendre.leggauss(self.n)
         return x, w
 
+    def _normal(self, side: int) -> tuple[Array, Array, Array]:
+        """Components along z and rho of the normal into the fluid, and the weights of area."""
+        c, *places = self._shape
+        x, w = self._nodes
+        xi, sign = places[side], (-1.0, 1.0)[side]  # towards smaller xi above, larger below
+        base = math.cosh(xi) - x
+        n_z = sign * (1.0 - math.cosh(xi) * x) / base
+        n_rho = sign * -math.sinh(xi) * np.sqrt(1.0 - x * x) / base
+        return n_z, n_rho, w * (c / base) ** 2  # d eta sin(eta) times both scale factors
+
     def _legendre(self, m: int) -> tuple[Array, Array]:
         """P_n^m, normalised, n = m..m + N - 1, and its derivative in eta, (nodes, N)."""
         x, _ = self._nodes
@@ -79,18 +89,13 @@ class Bispherical:
             p[m] *= np.sqrt((2.0 * j + 1.0) / (2.0 * j)) * s
         p[m + 1] = np.sqrt(2.0 * m + 3.0) * x * p[m]
         for j in range(m + 1, top):
-            up = np.sqrt((2.0 * j + 1) * (2 * j + 3) / ((j + 1.0) ** 2 - m * m))
-            down = np.sqrt(
-                (2.0 * j + 3) * (j * j - m * m) / ((2.0 * j - 1) * ((j + 1.0) ** 2 - m * m))
-            )
-            p[j + 1] = up * x * p[j] - down * p[j - 1]
+            below = (2.0 * j + 3) / ((j + 1.0) ** 2 - m * m)
+            down = np.sqrt(below * (j * j - m * m) / (2.0 * j - 1))
+            p[j + 1] = np.sqrt((2.0 * j + 1) * below) * x * p[j] - down * p[j - 1]
         degree = np.arange(m, m + self.n)[:, None]
         before = np.concatenate([np.zeros((1, len(x))), p[m : m + self.n - 1]])
-        factor = np.sqrt(
-            np.maximum(
-                (2.0 * degree + 1) / np.maximum(2 * degree - 1, 1) * (degree * degree - m * m), 0.0
-            )
-        )
+        square = (2.0 * degree + 1) / np.maximum(2 * degree - 1, 1) * (degree**2 - m * m)
+        factor = np.sqrt(np.maximum(square, 0.0))
         slope = (degree * x * p[m : m + self.n] - factor * before) / s
         return p[m : m + self.n].T, slope.T
 
@@ -175,15 +180,8 @@ class Bispherical:
 
         On a rigid surface sigma.n = -p n + du/dn + (grad u)^T n; the last two are taken whole.
         """
-        scale, xi1, xi2 = self._shape
-        rho, z, base = self._place(side)
-        x, w = self._nodes
-        xi = (xi1, xi2)[side]
-        # The normal out of the body, into the fluid: towards smaller xi above, larger below.
-        sign = -1.0 if side == 0 else 1.0
-        n_z = sign * (1.0 - math.cosh(xi) * x) / base
-        n_rho = sign * -math.sinh(xi) * np.sqrt(1.0 - x * x) / base
-        area = w * (scale / base) ** 2  # d eta sin(eta) times both scale factors
+        rho, z, _ = self._place(side)
+        n_z, n_rho, area = self._normal(side)
 
         def each(which: int, order: int) -> tuple[Array, Array, Array]:
             value, along_rho, along_z, _ = h[order]
@@ -257,16 +255,11 @@ class Bispherical:
         return np.array(columns).T
 
     def _swirl(self, side: int, c: Array) -> float:
-        scale, xi1, xi2 = self._shape
-        rho, _, base = self._place(side)
-        x, w = self._nodes
-        xi = (xi1, xi2)[side]
-        sign = -1.0 if side == 0 else 1.0
-        n_z = sign * (1.0 - math.cosh(xi) * x) / base
-        n_rho = sign * -math.sinh(xi) * np.sqrt(1.0 - x * x) / base
+        rho, _, _ = self._place(side)
+        n_z, n_rho, area = self._normal(side)
         value, d_rho, d_z, _ = (part @ c for part in self._harmonics(1, side))
         traction = (d_rho - value / rho) * n_rho + d_z * n_z
-        return float(-2.0 * np.pi * np.sum(w * (scale / base) ** 2 * rho * traction))
+        return float(-2.0 * np.pi * np.sum(area * rho * traction))
 
     @property
     def _bodies(self) -> list[int]:

@@ -12,10 +12,6 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-import numpy as np
-
-from qbxstokes.typing import Array
-
 _SERIES = tuple(range(1, 40))
 
 
@@ -51,36 +47,25 @@ def free_velocity(k: float, curvature: float, eta: float, alpha: float) -> float
     return curvature * (eta**2 + (2.0 - square - square * math.cos(alpha) ** 2) / 3.0)
 
 
-def fixed_force(k: float, curvature: float, eta: float, cosine: float, sine: float) -> Array:
-    """Body-frame force (3,) on a spheroid held at theta = pi/2, psi = 0 (Bagge 2015, eq. 3.40).
+def fixed_force(
+    k: float, curvature: float, eta: float, cosine: float, sine: float
+) -> tuple[float, float]:
+    """Force along D1 and D3 on a spheroid held at theta = pi/2, psi = 0 (Bagge 2015, eq. 3.40).
 
     cosine = e1.D3, sine = e1.D1; D3 component 16 pi e^3 K cos B/(-2e + (1+e^2) L), D1 component
     32 pi e^3 K sin B/(2e + (3e^2-1) L), B = eta^2 + (2 - e^2 - e^2 cos^2)/3.
     """
-    across, along = force_components(k, curvature, eta, cosine, sine)
-    return np.array([across, 0.0, along])
-
-
-def force_components(
-    k: float, curvature: float, eta: float, cosine: float, sine: float
-) -> tuple[float, float]:
-    """Components of `fixed_force` along D1 and D3, plain numbers for integrators."""
     axial, transverse = _brackets(k)
     square = 1.0 - k * k
     flow = curvature * (eta**2 + (2.0 - square - square * cosine**2) / 3.0)
     return 32.0 * math.pi * sine * flow / transverse, 16.0 * math.pi * cosine * flow / axial
 
 
-def fixed_torque(k: float, curvature: float, eta: float, cosine: float) -> Array:
-    """Body-frame torque (3,) on a spheroid held at theta = pi/2, psi = 0 (Bagge 2015, eq. 3.41).
+def fixed_torque(k: float, curvature: float, eta: float, cosine: float) -> float:
+    """Torque about D2 on a spheroid held at theta = pi/2, psi = 0 (Bagge 2015, eq. 3.41).
 
-    D2 component -64 pi e^3 K eta (1 - e^2 cos^2)/(3 (-2e + (1+e^2) L)); cosine = e1.D3.
+    -64 pi e^3 K eta (1 - e^2 cos^2)/(3 (-2e + (1+e^2) L)); cosine = e1.D3.
     """
-    return np.array([0.0, torque_component(k, curvature, eta, cosine), 0.0])
-
-
-def torque_component(k: float, curvature: float, eta: float, cosine: float) -> float:
-    """Component of `fixed_torque` along D2, a plain number for integrators."""
     axial, _ = _brackets(k)
     square = 1.0 - k * k
     return -64.0 * math.pi * curvature * eta * (1.0 - square * cosine**2) / (3.0 * axial)

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.reference.jeffery import free_angular_velocity, rotation_resistance
+from qbxstokes.reference.jeffery import rotation_resistance
 from qbxstokes.reference.lamb import translation_resistance
 from qbxstokes.typing import Array
 
@@ -39,10 +39,8 @@ def body_coefficients(k: float) -> tuple[float, Array, Array]:
     square = k * k
     shape = (1.0 - square) / (1.0 + square)
     quadratic = np.array([square / 6.0, (1.0 - square) / 6.0, 0.0, 0.0, 0.0])
-    cubic = np.array(
-        [(1.0 - square) / 20.0, 0.0, shape * square / 10.0, shape * (1.0 - square) / 10.0]
-    )
-    return shape, quadratic, cubic
+    second = shape / 10.0 * np.array([square, 1.0 - square])
+    return shape, quadratic, np.array([(1.0 - square) / 20.0, 0.0, *second])
 
 
 def resistance(k: float) -> tuple[float, float, float, float]:
@@ -71,14 +69,8 @@ def free_motion_polynomial(
     strain = 0.5 * (mean_gradient + np.swapaxes(mean_gradient, -1, -2))
     shape = (1.0 - k * k) / (1.0 + k * k)
     spin = shape * np.cross(d, np.einsum("...ij,...j->...i", strain, d))
-    vorticity = np.stack(
-        [
-            mean_gradient[..., 2, 1] - mean_gradient[..., 1, 2],
-            mean_gradient[..., 0, 2] - mean_gradient[..., 2, 0],
-            mean_gradient[..., 1, 0] - mean_gradient[..., 0, 1],
-        ],
-        axis=-1,
-    )
+    off = mean_gradient - np.swapaxes(mean_gradient, -1, -2)
+    vorticity = np.stack([off[..., 2, 1], off[..., 0, 2], off[..., 1, 0]], axis=-1)
     return mean_velocity, 0.5 * vorticity + spin
 
 
@@ -103,14 +95,9 @@ def surface_means(
     height, weight = np.polynomial.legendre.leggauss(order)
     angle = np.pi / order * (np.arange(2 * order) + 0.5)
     radius = np.sqrt(1.0 - height**2)
-    sphere = np.stack(
-        [
-            np.outer(radius, np.cos(angle)),
-            np.outer(radius, np.sin(angle)),
-            np.repeat(height[:, None], 2 * order, axis=1),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    around = np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))
+    sphere = np.stack([*around, np.repeat(height[:, None], 2 * order, axis=1)], axis=-1)
+    sphere = sphere.reshape(-1, 3)
     measure = np.repeat(weight / (4.0 * order), 2 * order)
     u = velocity(np.asarray(centre, dtype=float) + (sphere * axes) @ turn.T) @ turn
     mean_gradient: Array = 3.0 * (u * measure[:, None]).T @ (sphere / axes)
@@ -125,9 +112,7 @@ def free_motion(
     order: int = 40,
 ) -> tuple[Array, Array]:
     """(U, Omega) (3,) in space of a free spheroid in any flow; arguments as `surface_means`."""
-    turn = np.asarray(rotation, dtype=float)
-    mean, gradient = surface_means((k, k, 1.0), turn, centre, velocity, order)
-    return turn @ mean, turn @ free_angular_velocity(k, gradient)
+    return free_motion_ellipsoid((k, k, 1.0), rotation, centre, velocity, order)
 
 
 def free_motion_ellipsoid(
@@ -143,12 +128,12 @@ def free_motion_ellipsoid(
     """
     turn = np.asarray(rotation, dtype=float)
     mean, gradient = surface_means(semi_axes, turn, centre, velocity, order)
-    square = np.asarray(semi_axes, dtype=float) ** 2
-    omega = np.empty(3)
-    for i in range(3):
-        j, m = (i + 1) % 3, (i + 2) % 3
-        turned = square[j] * gradient[m, j] - square[m] * gradient[j, m]
-        omega[i] = turned / (square[j] + square[m])
+    a, b, c = np.asarray(semi_axes, dtype=float) ** 2
+    omega = [
+        (b * gradient[2, 1] - c * gradient[1, 2]) / (b + c),
+        (c * gradient[0, 2] - a * gradient[2, 0]) / (c + a),
+        (a * gradient[1, 0] - b * gradient[0, 1]) / (a + b),
+    ]
     return turn @ mean, turn @ omega
 
 
@@ -161,8 +146,7 @@ def fixed_force_torque(
 ) -> tuple[Array, Array]:
     """(F, M) (3,) in space on a spheroid held fixed in any flow: F = R U_free, M = R Omega_free."""
     turn = np.asarray(rotation, dtype=float)
-    free_velocity, free_spin = free_motion(k, turn, centre, velocity, order)
+    speed, spin = free_motion(k, turn, centre, velocity, order)
     across, along, turning, spinning = resistance(k)
-    force = turn @ (np.array([across, across, along]) * (turn.T @ free_velocity))
-    moment = turn @ (np.array([turning, turning, spinning]) * (turn.T @ free_spin))
-    return force, moment
+    force = turn @ (np.array([across, across, along]) * (turn.T @ speed))
+    return force, turn @ (np.array([turning, turning, spinning]) * (turn.T @ spin))

@@ -51,12 +51,8 @@ def relaxation_rates(k: float) -> tuple[float, float, float, float]:
     transverse, axial = lamb.translation_resistance(k)
     turning, spinning = jeffery.rotation_resistance(k)
     moments = inertia(k)
-    return (
-        transverse / volume(k),
-        axial / volume(k),
-        turning / float(moments[0]),
-        spinning / float(moments[2]),
-    )
+    rotation = turning / float(moments[0]), spinning / float(moments[2])
+    return transverse / volume(k), axial / volume(k), *rotation
 
 
 def jeffery_orbit(k: float, constant: float, nodes: int = _NODES) -> tuple[Array, Array]:
@@ -72,14 +68,8 @@ def jeffery_rate(k: float, d: Array) -> Array:
     """g(d), (..., 3): rate of the axis of a free massless body in the shear of rate 1."""
     lam = shape(k)
     pull = lam * d[..., 0] * d[..., 1]
-    return np.stack(
-        [
-            0.5 * (1.0 + lam) * d[..., 1] - pull * d[..., 0],
-            -0.5 * (1.0 - lam) * d[..., 0] - pull * d[..., 1],
-            -pull * d[..., 2],
-        ],
-        axis=-1,
-    )
+    linear = 0.5 * (1.0 + lam) * d[..., 1], -0.5 * (1.0 - lam) * d[..., 0], 0.0 * d[..., 2]
+    return np.asarray(np.stack(linear, axis=-1) - pull[..., None] * d)
 
 
 def orbit_drift_coefficient(k: float, constant: float) -> float:
@@ -110,16 +100,11 @@ def lag(k: float, d: Array, g: Array) -> Array:
     -(J1 P g' + J3 s g x d)/R, with the spin s of Jeffery's body.
     """
     moments, (turning, _) = inertia(k), jeffery.rotation_resistance(k)
-    second = _along(k, d, g)
+    # The second derivative of the axis along a Jeffery orbit, exact by a complex step.
+    second = jeffery_rate(k, d + 1e-30j * g).imag / 1e-30
     second = second - d * np.sum(d * second, axis=-1, keepdims=True)
     spin = -0.5 * d[..., 2:]
     return np.asarray(-(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning)
-
-
-def _along(k: float, d: Array, g: Array) -> Array:
-    """Second derivative of the axis along a Jeffery orbit, exact by a complex step."""
-    step = 1e-30
-    return np.asarray(jeffery_rate(k, d + 1j * step * g).imag / step)
 
 
 def rolling_drift_coefficient(k: float) -> float:
@@ -153,11 +138,6 @@ def rolling_mode(k: float, stokes_number: float) -> complex:
     return complex(max(modes, key=lambda mode: (round(mode.real, 12), mode.imag)))
 
 
-def rolling_exponent(k: float, stokes_number: float) -> float:
-    """Largest growth rate of a small tilt from log-rolling, for any St."""
-    return rolling_mode(k, stokes_number).real
-
-
 @dataclass(frozen=True)
 class Tumbling:
     """Periodic tumbling in the plane: p(angle) = -d(angle)/dt at nodes on [0, pi), d = (cos, sin).
@@ -177,7 +157,11 @@ class Tumbling:
 
     @property
     def rate(self) -> float:
-        """Mean rate of rotation, between k/(1+k^2) and 1/2."""
+        """Mean rate of rotation: k/(1+k^2) for St = 0, 1/2 for St -> infinity.
+
+        With t = St J1/R large, p = 1/2 + p1/t + p2/t^2 + ..., p1 = lambda/2 sin 2a, <p2> = 0, so
+        that it is 1/2 - lambda^2/(4 t^2). The equation holds lambda^2 and t alone.
+        """
         return float(np.pi) / self.half_turn
 
     def mean(self, values: Array) -> float:
@@ -253,15 +237,6 @@ def _newton(
             return np.asarray(p)
         before = size
     return None
-
-
-def mean_rotation_rate(k: float, stokes_number: float) -> float:
-    """Mean rate of tumbling in the plane of shear: k/(1+k^2) for St = 0, 1/2 for St -> infinity.
-
-    With t = St J1/R large, p = 1/2 + p1/t + p2/t^2 + ..., p1 = lambda/2 sin 2a, <p2> = 0, so that
-    the mean of 1/p gives 1/2 - lambda^2/(4 t^2). The equation holds lambda^2 and t alone.
-    """
-    return tumbling(k, stokes_number).rate
 
 
 def light_rate_coefficient(k: float) -> float:
@@ -358,12 +333,8 @@ def drift(k: float, stokes_number: float, parts: Inertia = "both") -> float:
     advance = -p[:, None] * _derivative(n)
     difference = along - across
     coupling = difference * cosine * sine
-    matrix = np.block(
-        [
-            [advance + np.diag(across + difference * cosine**2), np.diag(coupling + 1.0)],
-            [np.diag(coupling), advance + np.diag(across + difference * sine**2)],
-        ]
-    )
+    first, second = (advance + np.diag(across + difference * x**2) for x in (cosine, sine))
+    matrix = np.block([[first, np.diag(coupling + 1.0)], [np.diag(coupling), second]])
     push = -(1.0 - k * k) / 3.0 * 2.0 * sine * cosine * -p
     w = np.linalg.solve(matrix, np.concatenate([push, np.zeros(n)]))
     return orbit.mean(w[n:])

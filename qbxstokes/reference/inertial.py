@@ -50,8 +50,7 @@ def inertia(k: float) -> Array:
     """Moments of inertia (3,): (4 pi/15) k^2 (k^2+1, k^2+1, 2 k^2), density one."""
     square = k * k
     shape = np.array([square + 1.0, square + 1.0, 2.0 * square])
-    moments: Array = 4.0 * np.pi / 15.0 * square * shape
-    return moments
+    return np.asarray(4.0 * np.pi / 15.0 * square * shape)
 
 
 def volume(k: float) -> float:
@@ -95,15 +94,8 @@ def _integrate(rate: object, start: Array, times: Array, rtol: float, atol: floa
 
     if len(times) < 2:
         return np.tile(start, (len(times), 1))
-    solution = solve_ivp(
-        rate,
-        (times[0], times[-1]),
-        start,
-        method="DOP853",
-        t_eval=times,
-        rtol=rtol,
-        atol=atol,
-    )
+    keys = {"method": "DOP853", "t_eval": times, "rtol": rtol, "atol": atol}
+    solution = solve_ivp(rate, (times[0], times[-1]), start, **keys)
     if not solution.success:
         raise RuntimeError(f"reference integration failed: {solution.message}")
     return np.asarray(solution.y.T, dtype=float)
@@ -159,11 +151,8 @@ def linear_flow(
         q = _integrate(massless, start, times, rtol, atol)
         omega = np.array([free(row) for row in q.tolist()])
     else:
-        spin = (
-            free(start.tolist())
-            if angular_velocity is None
-            else np.asarray(angular_velocity, float)
-        )
+        given = angular_velocity
+        spin = free(start.tolist()) if given is None else np.asarray(given, dtype=float)
         states = _integrate(inertial, np.concatenate([start, spin]), times, rtol, atol)
         q, omega = states[:, :4], states[:, 4:]
     return RotationSolution(times, q / np.linalg.norm(q, axis=1, keepdims=True), omega)
@@ -194,41 +183,37 @@ def paraboloid(
     turning, _ = jeffery.rotation_resistance(k)
     volume_st, moment_st = volume(k) * stokes_number, float(inertia(k)[1]) * stokes_number
 
-    # D1 = (sine, cosine), D3 = (cosine, -sine) with cosine = e1.D3, sine = e1.D1.
-    def load(x2: float, angle: float, v1: float, v2: float, rate: float) -> Triple:
-        """Force (two components) in space and torque about D2 = e3."""
+    def held(x2: float, angle: float, v1: float, v2: float, rate: float) -> list[float]:
+        """Force along D1 and D3 and torque about D2 = e3 on the moving body, and e1.D3, e1.D1."""
+        # D1 = (sine, cosine), D3 = (cosine, -sine).
         cosine, sine = math.sin(angle), math.cos(angle)
-        first, third = chwang.force_components(k, curvature, x2, cosine, sine)
+        first, third = chwang.fixed_force(k, curvature, x2, cosine, sine)
         first -= across * (v1 * sine + v2 * cosine)
         third -= along * (v1 * cosine - v2 * sine)
-        moment = chwang.torque_component(k, curvature, x2, cosine) - turning * rate
-        return first * sine + third * cosine, first * cosine - third * sine, moment
+        moment = chwang.fixed_torque(k, curvature, x2, cosine) - turning * rate
+        return [first, third, moment, cosine, sine]
 
-    def free(x2: float, angle: float) -> tuple[Array, float]:
-        cosine, sine = math.sin(angle), math.cos(angle)
-        first, third = chwang.force_components(k, curvature, x2, cosine, sine)
+    def free(x2: float, angle: float) -> list[float]:
+        """Velocity in space and rate of turning of the free massless body."""
+        first, third, moment, cosine, sine = held(x2, angle, 0.0, 0.0, 0.0)
         first, third = first / across, third / along
-        v = np.array([first * sine + third * cosine, first * cosine - third * sine])
-        return v, chwang.torque_component(k, curvature, x2, cosine) / turning
+        return [first * sine + third * cosine, first * cosine - third * sine, moment / turning]
 
     def massless(_: float, y: Array) -> list[float]:
-        v, rate = free(*y[1:3].tolist())
-        return [*v.tolist(), rate]
+        return free(*y[1:3].tolist())
 
     def inertial(_: float, y: Array) -> list[float]:
         _, x2, angle, v1, v2, rate = y.tolist()
-        f1, f2, moment = load(x2, angle, v1, v2, rate)
-        return [v1, v2, rate, f1 / volume_st, f2 / volume_st, moment / moment_st]
+        first, third, moment, cosine, sine = held(x2, angle, v1, v2, rate)
+        force = first * sine + third * cosine, first * cosine - third * sine
+        return [v1, v2, rate, *(f / volume_st for f in force), moment / moment_st]
 
     if stokes_number == 0.0:
         states = _integrate(massless, np.array([*start, phi]), times, rtol, atol)
-        motions = [free(row[1], row[2]) for row in states]
-        rates = np.array([rate for _, rate in motions])
-        velocities = np.array([v for v, _ in motions])
-        return PlaneSolution(times, states[:, :2], velocities, states[:, 2], rates)
-    free_velocity, free_rate = free(float(start[1]), phi)
+        motions = np.array([free(*row) for row in states[:, 1:3].tolist()])
+        return PlaneSolution(times, states[:, :2], motions[:, :2], states[:, 2], motions[:, 2])
+    *free_velocity, free_rate = free(float(start[1]), phi)
     v0 = free_velocity if velocity is None else np.asarray(velocity, dtype=float)
-    rate0 = free_rate if phi_rate is None else phi_rate
-    initial = np.array([*start, phi, *v0, rate0])
+    initial = np.array([*start, phi, *v0, free_rate if phi_rate is None else phi_rate])
     states = _integrate(inertial, initial, times, rtol, atol)
     return PlaneSolution(times, states[:, :2], states[:, 3:5], states[:, 2], states[:, 5])
