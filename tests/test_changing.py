@@ -270,6 +270,13 @@ def test_a_run_goes_on_to_the_same_end() -> None:
     assert np.array_equal(np.concatenate([first.states, last.states]), whole.states)
 
 
+@pytest.mark.parametrize("stokes", [0.0, 1.0])
+def test_a_run_may_be_its_start(stokes: float) -> None:
+    body, flow = qs.Body(0.5, stokes_number=stokes), qs.flow("shear", rate="cos(t)")
+    motion = body.integrate(flow, [0.0], orientation=AXIS)
+    assert np.allclose(motion.axis, AXIS)
+
+
 def test_a_run_ends_where_its_series_does() -> None:
     times = np.linspace(0.0, 4.0, 81)
     series = qs.GradientSeries(times, [cosines(3)(t) for t in times])  # type: ignore[operator]

@@ -70,10 +70,9 @@ class System:
         self._changing = equations.changing
         if self._changing is not None:
             # To a hundredth of the tolerance at the end, however the axis magnifies it.
-            ratio = float(
-                np.max(np.maximum(equations.effective_ratio, 1.0 / equations.effective_ratio))
-            )
-            self._changing.sample(end, 0.01 * tolerance / ratio, longest_step or 0.02 * end)
+            k, span = equations.effective_ratio, end or 1.0
+            accuracy = 0.01 * tolerance / float(np.max(np.maximum(k, 1.0 / k)))
+            self._changing.sample(span, accuracy, longest_step or 0.02 * span)
         self._guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance
         self._wanted = start.method or method or self._guide.method
@@ -139,7 +138,7 @@ class System:
         self._scales = self.equations.scales(start.time, start.state)
         if self._changing is not None:  # at the start the flow may be as good as still
             rates = self._scales[:, VELOCITY.start :]
-            np.maximum(rates, 1.0 / self.end, out=rates)
+            np.maximum(rates, 1.0 / (self.end or 1.0), out=rates)
         return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)
 
     def integrator(self, vector: Any, adaptive: bool) -> Any:
