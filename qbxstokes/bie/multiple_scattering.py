@@ -41,7 +41,6 @@ from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.confocal import Table
-from qbxstokes.qbx.exterior import ExteriorFlow
 from qbxstokes.typing import Array, ComplexArray, Integers
 
 SLOW = 1.3  # errors fall by exp(-SLOW a) a node, a the rate of the gap, or faster
@@ -271,26 +270,14 @@ class Coupled:
         x = self.bodies[c].to_body(points)
         return self.maps[c].degrees_for(x, tolerance), x
 
-    def table_at(self, c: int, points: Array, mirrored: bool) -> Table:
-        """Harmonics of body c at points of space, or at their mirror images."""
-        degrees, x = self._degrees(c, points, mirrored)
-        return self.maps[c].harmonics.table(x, int(degrees.max()), mirrored)
-
-    def sent(self, c: int, flow: ComplexArray, points: Array, table: Table | None = None) -> Array:
-        """Velocity (N, 3), in space, of body c's own flow at points of space."""
-        table = table or self.table_at(c, points, False)
-        return np.asarray(table.velocity(flow) @ self.bodies[c].rotation.T)
-
-    def exterior(self, c: int, flow: ComplexArray) -> ExteriorFlow:
-        """Body c's own flow in its frame, to be evaluated anywhere outside it."""
-        return ExteriorFlow(self.maps[c].harmonics, flow)
-
     def reflected(
         self, c: int, flow: ComplexArray, points: Array, table: Table | None = None
     ) -> tuple[Array, Array]:
         """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's flow."""
         assert self.wall is not None
-        table = table or self.table_at(c, points, True)
+        if table is None:
+            degrees, x = self._degrees(c, points, True)
+            table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
         turn, size = self.bodies[c].rotation, self.bodies[c].size
         normal = self.wall.normal
         u, lift, push, p = table.mirrored(flow, turn.T @ normal)
@@ -310,7 +297,7 @@ class Coupled:
         total = np.zeros((len(points), 3))
         for c, flow in flows.items():
             for part, table in self._tables_on(c, b, False) if c != b else ():
-                total[part] += self.sent(c, flow, points[part], table)
+                total[part] += table.velocity(flow) @ self.bodies[c].rotation.T
             for part, table in self._tables_on(c, b, True) if self.wall is not None else ():
                 total[part] += self.reflected(c, flow, points[part], table)[0]
         return total @ self.bodies[b].rotation

@@ -29,7 +29,7 @@ PAUSE = 2e-5  # seconds between looks of a rank that waits for others in a solve
 class CoupledSolver:
     """GMRES on a coupled problem; options `-ksp_*` apply. Right-hand sides one after the other.
 
-    problem: with the bodies of this rank as its own, see `own_bodies`. free: bodies under given
+    problem: with the bodies of this rank as its own, see `dealt`. free: bodies under given
     loads, else of given motion. tolerance: of the residual relative to the data.
     """
 
@@ -41,7 +41,7 @@ class CoupledSolver:
         self._mpi = self.comm.tompi4py() if self.comm.getSize() > 1 else None
         if self._mpi is not None:
             finish_asleep(self._mpi.Ibarrier(), PAUSE)
-            self._shares = self._mpi.allgather(list(problem.rows))
+            self._shares = dealt(problem, self.comm.getSize())
         self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
         self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
@@ -140,19 +140,20 @@ class CoupledSolver:
         self._rhs.destroy()
 
 
-def own_bodies(problem: Coupled, comm: Any) -> list[int]:
-    """Bodies of this rank: of each stage the costly ones dealt first, to who has least so far."""
+def dealt(problem: Coupled, ranks: int) -> list[list[int]]:
+    """Bodies of each rank: of each stage the costly ones dealt first, to who has least so far."""
     points = np.array(problem.nodes) ** 2  # at which the flows of all others are summed
-    cost, own, whole = points * (points.sum() - points) + 1.0, [], np.zeros(comm.getSize())
+    cost = points * (points.sum() - points) + 1.0
+    shares: list[list[int]] = [[] for _ in range(ranks)]
+    whole = np.zeros(ranks)
     for stage in problem.stages:
-        load = np.zeros(len(whole))
+        load = np.zeros(ranks)
         for b in sorted(stage, key=lambda b: (-cost[b], b)):
-            rank = min(range(len(load)), key=lambda rank: (load[rank], whole[rank]))
+            rank = min(range(ranks), key=lambda rank: (load[rank], whole[rank]))
             load[rank] += cost[b]
             whole[rank] += cost[b]
-            if rank == comm.getRank():
-                own.append(b)
-    return sorted(own)
+            shares[rank].append(b)
+    return [sorted(share) for share in shares]
 
 
 def over(comm: Any) -> Any:

@@ -16,7 +16,7 @@ from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.layout import ORIENTATION, POSITION
-from qbxstokes.qbx.exterior import SURFACE_MARGIN
+from qbxstokes.qbx.exterior import SURFACE_MARGIN, ExteriorFlow
 from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.grid_choice import MOST_NODES
 
@@ -129,7 +129,8 @@ class FlowAmong:
         problem = self.problem
         for c, (body, sent) in enumerate(zip(problem.bodies, self.solution.flows, strict=True)):
             turn, size = body.rotation, body.size
-            own = problem.exterior(c, sent).evaluate(body.to_body(x), asked, tolerance)
+            outside = ExteriorFlow(problem.maps[c].harmonics, sent)
+            own = outside.evaluate(body.to_body(x), asked, tolerance)
             total["velocity"] += own["velocity"] @ turn.T
             total["pressure"] += own["pressure"] / size
             if "gradient" in asked:

@@ -143,9 +143,9 @@ class Suspension:
         chosen = list(nodes or self.grids(places))
         problem = Coupled(places, self.plane, chosen, looser * _SUMS * self.tolerance)
         if self.comm is not None:
-            from qbxstokes.petsc.coupled import own_bodies
+            from qbxstokes.petsc.coupled import dealt
 
-            problem.own = own_bodies(problem, self.comm)
+            problem.own = dealt(problem, self.comm.getSize())[self.comm.getRank()]
         return problem
 
     def resistance(
