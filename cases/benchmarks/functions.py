@@ -19,7 +19,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from measure import Rows, command, timed
+from measure import command, timed
 
 import qbxstokes as qs
 
@@ -63,7 +63,7 @@ def shear(x: Any, t: float, s: float) -> Any:
     return found
 
 
-def main(small: bool = False) -> dict[str, Rows]:
+def main(small: bool = False) -> dict[str, list[dict[str, Any]]]:
     """The tables."""
     lanes, repeats = (256, 2) if small else (1000, 5)
     known = {"parameters": {"s": 0.5}, "length": 30.0}
@@ -82,7 +82,7 @@ def main(small: bool = False) -> dict[str, Rows]:
         ),
         ("recognised shear", {"function": shear}, {}, None),
     ]
-    rows: Rows = []
+    rows: list[dict[str, Any]] = []
     axes = np.random.default_rng(1).normal(size=(lanes, 3))
     for name, flow, body, bar in kinds:
         row: dict[str, Any] = {"what": name, "bar_us": bar}
@@ -105,7 +105,7 @@ def main(small: bool = False) -> dict[str, Rows]:
     return {"functions": rows, "tolerance": _at_random(6 if small else 40)}
 
 
-def _at_random(count: int) -> Rows:
+def _at_random(count: int) -> list[dict[str, Any]]:
     """Errors over tolerances of random bodies and flows."""
     rows = []
     for seed in range(count):
