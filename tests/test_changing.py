@@ -20,6 +20,9 @@ from qbxstokes.simulation.assembly import assemble
 
 TIMES = np.linspace(0.0, 6.0, 241)
 
+GRADIENTS = [[[0, 1, 0], [0, 0, 0], [0, 0, 0]], [[0, 2, 0], [0, 0, 0], [0, 0, 0]]]
+LINEAR = {"interpolation": "linear"}
+
 
 def sampled(function: Any, end: float = 10.0, accuracy: float = 1e-10) -> Sampled:
     found = Sampled(Signal([Part(function, (), ("rate",))]), end, accuracy, end / 50.0)
@@ -92,6 +95,10 @@ def test_what_is_no_function_of_time_to_speak_of_is_refused() -> None:
         (
             {"type": "shear", "rate": Series(TIMES, 1.0 + np.cos(TIMES))},
             lambda t: [[0, 1 + np.cos(t), 0], [0] * 3, [0] * 3],
+        ),
+        (
+            {"type": "linear", "gradient": {"times": [0, 9], "values": GRADIENTS} | LINEAR},
+            lambda t: [[0, 1 + t / 9, 0], [0] * 3, [0] * 3],
         ),
         (
             {"type": "sum", "terms": [{"type": "shear"}, {"type": "shear", "rate": "cos(t)"}]},
@@ -174,6 +181,10 @@ def test_a_case_reads_series_of_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
+        (
+            {"type": "uniform", "velocity": [Series(TIMES, TIMES), 0, 0]},
+            "a series stands for the whole of velocity",
+        ),
         ({"type": "shear", "rate": "t", "trajectory": 1}, "without a series of gradients"),
         ({"type": "shear", "rate": "cos(x)"}, "rate must be a finite number or an expression in t"),
         ({"type": "shear", "rate": Series(TIMES, np.ones((241, 2)))}, "2 numbers in its series"),

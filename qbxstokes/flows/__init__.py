@@ -1,7 +1,7 @@
 """Background flows: Stokes flows in which the body moves."""
 
 from qbxstokes.flows.base import Flow, SumFlow, add_flows
-from qbxstokes.flows.changing import ChangingFlow, linear_in_time
+from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.check import (
     StokesianReport,
     check_regular,
@@ -53,6 +53,5 @@ __all__ = [
     "check_regular",
     "check_singularities",
     "check_stokesian",
-    "linear_in_time",
     "resolve_paths",
 ]

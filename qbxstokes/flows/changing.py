@@ -181,13 +181,6 @@ class ChangingFlow(SumFlow):
         return ChangingFlow(signal, [*self.units, *other.units], still, spec)
 
 
-def linear_in_time(gradient: Any) -> ChangingFlow:
-    """u = A(t) x of a function, expressions or a series of gradients of one path."""
-    flow = in_time(PolynomialFlow, {"gradient": gradient}, lambda spec: PolynomialFlow(**spec))
-    assert flow is not None
-    return flow.named({"type": "linear", "gradient": gradient})
-
-
 def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> ChangingFlow | None:
     """The flow of a specification in which numbers change in time; None where none does.
 
@@ -279,10 +272,10 @@ def _leaves(
         except ValueError as error:
             what = f"{key[0]} must be a finite number or an expression in t"
             raise FlowError(f"{what}, not {value!r}: {error}", key) from None
+    elif isinstance(value, (Mapping, Series)):
+        raise FlowError(f"a series stands for the whole of {key[0]}", key)
     elif callable(value):
         leaves.append(lambda t: float(np.reshape(value(t), ())))
-    elif isinstance(value, Mapping):
-        raise FlowError(f"a series stands for the whole of {key[0]}", key)
     else:
         fixed = number(value, ".".join(map(str, key)), key=key)
         leaves.append(lambda t: fixed)
@@ -308,7 +301,8 @@ def _series_of(key: str, given: Mapping[str, Any], trajectory: Any) -> Series:
     try:
         check_keys(given, ["file", "times", "values", *rules], key)
         if "times" in given:
-            found = Series(given["times"], np.asarray(given["values"], dtype=float), **rules)
+            kind = GradientSeries if key == "gradient" else Series
+            found = kind(given["times"], np.asarray(given["values"], dtype=float), **rules)
         else:
             numbers = read_table(Path(str(given["file"]))).numbers
             found = Series(numbers[:, 0], numbers[:, 1:], **rules)

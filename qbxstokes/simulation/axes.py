@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.errors import FlowError, SceneError
-from qbxstokes.flows import ChangingFlow, Flow, linear_in_time
+from qbxstokes.flows import ChangingFlow, Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.simulation import arguments as given
 
@@ -51,7 +51,7 @@ def axes_in(
     if np.any(body.stokes_number):
         raise SceneError("body.stokes_number", "is not 0", "0, or integrate")
     if isinstance(flow, GradientSeries):
-        flow = linear_in_time(flow)
+        flow = build_flow({"type": "linear", "gradient": flow})
     if flow.degree is None or flow.degree > 1:
         raise SceneError("flow", f"is {flow.type_name}", "a linear flow, or integrate")
     law = body.formed(1, None)[0].model
