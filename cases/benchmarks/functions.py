@@ -11,11 +11,9 @@ Expected: a right-hand side of many bodies takes 1 us each by compiled functions
           and 130 us by NumPy's. Errors are below ten tolerances.
 """
 
-from __future__ import annotations
-
 import math
 import time
-from typing import Any
+from functools import partial
 
 import numba
 import numpy as np
@@ -26,7 +24,7 @@ import qbxstokes as qs
 END, TOLERANCE, AXIS = 20.0, 1e-6, [0.48, 0.6, 0.64]
 
 
-def rolls(x: float, y: float, z: float, t: float, s: float) -> tuple[float, float, float]:
+def rolls(x, y, z, t, s):
     """The flow at a point."""
     w = s * math.cos(t) * math.exp(0.03 * y)
     return w * math.cos(0.03 * x), w * math.sin(0.03 * x), 0.0
@@ -41,13 +39,13 @@ def rolls_in_c(x, y, z, t, p, u):  # type: ignore[no-untyped-def]
     u[0], u[1], u[2] = w * math.cos(0.03 * x), w * math.sin(0.03 * x), 0.0
 
 
-def many(x: Any, t: float, s: float) -> Any:
+def many(x, t, s):
     """The same at many points."""
     w = s * np.cos(t) * np.exp(0.03 * x[:, 1])
     return np.stack([w * np.cos(0.03 * x[:, 0]), w * np.sin(0.03 * x[:, 0]), 0.0 * w], axis=1)
 
 
-def gradient(x: Any, t: float, s: float) -> Any:
+def gradient(x, t, s):
     """Its derivatives, d_j u_i."""
     w = 0.03 * s * np.cos(t) * np.exp(0.03 * x[:, 1])
     c, d = w * np.cos(0.03 * x[:, 0]), w * np.sin(0.03 * x[:, 0])
@@ -56,56 +54,14 @@ def gradient(x: Any, t: float, s: float) -> Any:
     return found
 
 
-def shear(x: Any, t: float, s: float) -> Any:
+def shear(x, t, s):
     """An oscillating shear, which is recognised."""
     found = np.zeros_like(x)
     found[:, 0] = s * np.cos(t) * x[:, 1]
     return found
 
 
-def main(small: bool = False) -> dict[str, list[dict[str, Any]]]:
-    """The tables."""
-    lanes, repeats = (256, 2) if small else (1000, 5)
-    known = {"parameters": {"s": 0.5}, "length": 30.0}
-    kinds: list[tuple[str, dict[str, Any], dict[str, Any], float | None]] = [
-        ("compiled", {"function": rolls, "compiled": True}, {}, 5.0),
-        ("of C", {"function": rolls_in_c, "compiled": True}, {}, 5.0),
-        ("compiled, St = 10", {"function": rolls, "compiled": True}, {"stokes_number": 10.0}, 5.0),
-        ("NumPy", {"function": many}, {}, None),
-        ("NumPy, St = 10", {"function": many}, {"stokes_number": 10.0}, None),
-        ("gradient by differences", {"function": many}, {"hydrodynamics": {"derivatives": 1}}, 1.0),
-        (
-            "gradient given",
-            {"function": many, "gradient": gradient},
-            {"hydrodynamics": {"derivatives": 1}},
-            0.2,
-        ),
-        ("recognised shear", {"function": shear}, {}, None),
-    ]
-    rows: list[dict[str, Any]] = []
-    axes = np.random.default_rng(1).normal(size=(lanes, 3))
-    for name, flow, body, bar in kinds:
-        row: dict[str, Any] = {"what": name, "bar_us": bar}
-        for count, start in ((1, AXIS), (lanes, axes)):
-            scene = qs.Simulation(
-                qs.Body(0.2, **body),
-                qs.flow("user", **flow, **known),
-                orientation=start,
-                tolerance=TOLERANCE,
-            ).assemble()
-            scene.motion([END])
-            spent, motion = timed(
-                lambda scene=scene: scene.motion([END]), repeats, time.thread_time
-            )
-            calls = motion.summary["rhs_evaluations"]
-            row[f"{'one' if count == 1 else 'each of many'}_us"] = 1e6 * spent / calls / count
-            if count == 1:
-                row["one_ms"] = 1e3 * spent
-        rows.append(row)
-    return {"functions": rows, "tolerance": _at_random(6 if small else 40)}
-
-
-def _at_random(count: int) -> list[dict[str, Any]]:
+def at_random(count):
     """Errors over tolerances of random bodies and flows."""
     rows = []
     for seed in range(count):
@@ -117,8 +73,8 @@ def _at_random(count: int) -> list[dict[str, Any]]:
         places *= scale * rng.uniform(1.5, 2.5, (5, 1)) / np.linalg.norm(places, axis=1)[:, None]
         turning = rng.uniform(0.2, 2.0, 5) * (seed % 2)
 
-        def flow(x: Any, t: float, of: Any = (places, scale**2 * forces, turning)) -> Any:
-            def stokeslets(d: Any) -> Any:
+        def flow(x, t, of=(places, scale**2 * forces, turning)):
+            def stokeslets(d):
                 r = np.linalg.norm(d, axis=-1, keepdims=True)
                 return of[1] / r + d * np.sum(d * of[1], -1, keepdims=True) / r**3
 
@@ -126,13 +82,9 @@ def _at_random(count: int) -> list[dict[str, Any]]:
             return 0.5 * np.sum(found * np.cos(of[2] * t)[:, None], axis=1)
 
         body, end = qs.Body(k, stokes_number=stokes_number), float(rng.uniform(3.0, 9.0))
+        moved = qs.flow("user", function=flow, length=scale)
         motion, true = (
-            body.integrate(
-                qs.flow("user", function=flow, length=scale),
-                [end],
-                orientation=AXIS,
-                tolerance=accepted,
-            )
+            body.integrate(moved, [end], orientation=AXIS, tolerance=accepted)
             for accepted in (tolerance, max(1e-3 * tolerance, 1e-12))
         )
         away = np.linalg.norm(motion.position[-1] - true.position[-1])
@@ -140,21 +92,42 @@ def _at_random(count: int) -> list[dict[str, Any]]:
             float(np.abs(motion.axis[-1] - true.axis[-1]).max()),
             float(away) / max(1.0, float(np.linalg.norm(true.position[-1]))),
         )
-        rows.append(
-            {
-                "k": k,
-                "St": stokes_number,
-                "length over the body's": scale / max(1.0, k),
-                "tolerance": tolerance,
-                "error/tolerance": error / tolerance,
-                "points": " x ".join(map(str, motion.summary["coarsest_nodes"]))
-                + " to "
-                + " x ".join(map(str, motion.summary["finest_nodes"])),
-                "method": motion.summary["method"],
-            }
-        )
+        facts = motion.summary
+        grids = (" x ".join(map(str, facts[f"{n}_nodes"])) for n in ("coarsest", "finest"))
+        row = {"k": k, "St": stokes_number, "length over the body's": scale / max(1.0, k)}
+        row |= {"tolerance": tolerance, "error/tolerance": error / tolerance}
+        rows.append(row | {"points": " to ".join(grids), "method": facts["method"]})
     return rows
 
 
-if __name__ == "__main__":
-    command(main)
+@command
+def main(small=False):
+    """The tables."""
+    lanes, repeats = (256, 2) if small else (1000, 5)
+    derived = {"hydrodynamics": {"derivatives": 1}}
+    known = {"parameters": {"s": 0.5}, "length": 30.0}
+    kinds = [
+        ("compiled", {"function": rolls, "compiled": True}, {}, 5.0),
+        ("of C", {"function": rolls_in_c, "compiled": True}, {}, 5.0),
+        ("compiled, St = 10", {"function": rolls, "compiled": True}, {"stokes_number": 10.0}, 5.0),
+        ("NumPy", {"function": many}, {}, None),
+        ("NumPy, St = 10", {"function": many}, {"stokes_number": 10.0}, None),
+        ("gradient by differences", {"function": many}, derived, 1.0),
+        ("gradient given", {"function": many, "gradient": gradient}, derived, 0.2),
+        ("recognised shear", {"function": shear}, {}, None),
+    ]
+    rows = []
+    axes = np.random.default_rng(1).normal(size=(lanes, 3))
+    for name, flow, body, bar in kinds:
+        row = {"what": name, "bar_us": bar}
+        for count, start in ((1, AXIS), (lanes, axes)):
+            moved, keys = qs.flow("user", **flow, **known), {"tolerance": TOLERANCE}
+            scene = qs.Simulation(qs.Body(0.2, **body), moved, orientation=start, **keys).assemble()
+            scene.motion([END])
+            spent, motion = timed(partial(scene.motion, [END]), repeats, time.thread_time)
+            calls = motion.summary["rhs_evaluations"]
+            row[f"{'one' if count == 1 else 'each of many'}_us"] = 1e6 * spent / calls / count
+            if count == 1:
+                row["one_ms"] = 1e3 * spent
+        rows.append(row)
+    return {"functions": rows, "tolerance": at_random(6 if small else 40)}

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from qbxstokes.geometry.symmetric import PAIRS, PLACES
 from qbxstokes.typing import Array, ComplexArray, Integers
 
 Sparse = Any  # scipy.sparse.csr_array
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,6 @@ class Harmonics:
     @cached_property
     def _unitary(self) -> tuple[Sparse, Sparse]:
         """From complex to real coefficients, and back."""
-        from scipy.sparse import csr_array
-
         degrees, orders = self._complex
         here, there = self.index(degrees, orders), self.index(degrees, -orders)
         sign = np.where(orders % 2, -1.0, 1.0)
@@ -79,38 +77,29 @@ class Harmonics:
         s = sign[positive]
         one = np.ones(len(s))
         values = [np.ones(int(zero.sum())), 0.5 * one, 0.5 * s, -0.5j * one, 0.5j * s]
-        shape = (self.size, self.size)
-        to_real = csr_array(
-            (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
-        )
+        to_real = self._sparse(rows, columns, values)
         # c_m = Re + i Im, c_-m = s (Re - i Im).
         n, minus = here[negative], there[negative]
         rows = [here[zero], here[positive], here[positive], n, n]
         columns = [here[zero], here[positive], there[positive], minus, n]
         t = sign[negative]
         values = [np.ones(int(zero.sum())), one, 1j * one, t, -1j * t]
-        to_complex = csr_array(
-            (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
-        )
-        return to_real, to_complex
+        return to_real, self._sparse(rows, columns, values)
+
+    def _sparse(self, rows: list[Any], columns: list[Any], values: list[Any]) -> Sparse:
+        """The matrix of pieces of rows, columns and values."""
+        from scipy.sparse import csr_array
+
+        places = np.concatenate(rows), np.concatenate(columns)
+        return csr_array((np.concatenate(values), places), shape=(self.size, self.size))
 
     def real_matrix(self, matrix: Sparse) -> Sparse:
         """The matrix on real coefficients of one on complex coefficients that keeps psi real."""
         to_real, to_complex = self._unitary
         return (to_real @ matrix @ to_complex).real
 
-    def complex_coefficients(self, real: Array) -> ComplexArray:
-        """c_lm (n, ...) of the real numbers (n, ...)."""
-        return np.asarray(self._unitary[1] @ real)
-
-    def real_coefficients(self, values: ComplexArray) -> Array:
-        """The inverse of `complex_coefficients`."""
-        return np.asarray((self._unitary[0] @ values).real)
-
     def _matrix(self, shift: int, values: dict[int, Array]) -> Sparse:
         """Matrix of an operator that maps Y_lm to sum of values[d] Y_{l+d, m+shift}."""
-        from scipy.sparse import csr_array
-
         degrees, orders = self._complex
         rows, columns, entries = [], [], []
         for change, value in values.items():
@@ -119,10 +108,7 @@ class Harmonics:
             rows.append(self.index(new[inside], order[inside]))
             columns.append(self.index(degrees[inside], orders[inside]))
             entries.append(value[inside])
-        return csr_array(
-            (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))),
-            shape=(self.size, self.size),
-        )
+        return self._sparse(rows, columns, entries)
 
     @cached_property
     def products(self) -> tuple[Sparse, Sparse, Sparse]:
@@ -133,21 +119,14 @@ class Harmonics:
         degrees, orders = (values.astype(np.float64) for values in self._complex)
 
         def a(degree: Array, order: Array) -> Array:
-            square = (degree**2 - order**2) / (4.0 * degree**2 - 1.0)
-            return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+            return _root((degree**2 - order**2) / (4.0 * degree**2 - 1.0))
 
         def b(degree: Array, order: Array) -> Array:
-            square = (degree + order) * (degree + order - 1.0) / (4.0 * degree**2 - 1.0)
-            return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+            return _root((degree + order) * (degree + order - 1.0) / (4.0 * degree**2 - 1.0))
 
         n, m = degrees, orders
-        below, above = a(n, m), a(n + 1, m)
-        twice_z = {
-            2: above * a(n + 2, m),
-            0: above**2 + below**2,
-            -2: below * a(n - 1, m),
-        }
-        up, down = -b(n + 1, m + 1), b(n, -m)
+        below, above, up, down = a(n, m), a(n + 1, m), -b(n + 1, m + 1), b(n, -m)
+        twice_z = {2: above * a(n + 2, m), 0: above**2 + below**2, -2: below * a(n - 1, m)}
         twice_x = {
             2: -up * b(n + 2, m + 2),
             0: up * b(n + 1, -m - 1) - down * b(n, m + 2),
@@ -202,17 +181,18 @@ class Harmonics:
     def moments(self, real: Array) -> tuple[Array, Array]:
         """<pp> (..., 3, 3) and <pppp> (..., 3, 3, 3, 3) of distributions (n, ...)."""
         low = Harmonics(min(4, self.degree), self.step)
-        of = low.complex_coefficients(np.reshape(real, (self.size, -1))[: low.size])
+        of = low._unitary[1] @ np.reshape(real, (self.size, -1))[: low.size]
         second, fourth = _moment_rows(low.degree, self.step)
         lead = np.shape(real)[1:]
         two = (second @ of).real
         four = (fourth.reshape(-1, fourth.shape[-1]) @ of).real.reshape(6, 6, -1)
-        place = np.zeros((3, 3), dtype=int)
-        for number, (i, j) in enumerate(PAIRS):
-            place[i, j] = place[j, i] = number
-        pairs = np.moveaxis(two[place], -1, 0)
-        whole = np.moveaxis(four[place[:, :, None, None], place[None, None]], -1, 0)
+        pairs = np.moveaxis(two[PLACES], -1, 0)
+        whole = np.moveaxis(four[PLACES[:, :, None, None], PLACES], -1, 0)
         return pairs.reshape(*lead, 3, 3), whole.reshape(*lead, 3, 3, 3, 3)
+
+
+def _root(square: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
 def _moment_rows(degree: int, step: int) -> tuple[ComplexArray, ComplexArray]:
