@@ -106,7 +106,7 @@ class Series:
         return whole.reshape(-1, *whole.shape[-2:]) if isinstance(whole, np.ndarray) else whole
 
     @cached_property
-    def _one(self) -> Array:
+    def one(self) -> Array:
         """Samples (T, m) of a series of one path."""
         if len(self) != 1:
             raise FlowError(f"a series of {len(self)} paths; name a trajectory", ("trajectory",))
@@ -174,12 +174,12 @@ class Series:
         inside = np.array([self.inside(t) for t in middle.tolist()])
         places = np.clip(np.searchsorted(self.times, inside, "right") - 1, 0, len(self.times) - 2)
         begin, weights = self._weights
-        window = self._one[begin[places][:, None] + np.arange(weights.shape[2])]
+        window = self.one[begin[places][:, None] + np.arange(weights.shape[2])]
         coefficients = np.einsum("nkj,njm->nkm", weights[places], window)
         for end, sample in ((0, self.times[0]), (-1, self.times[-1])):  # at an end, or clamped
             beyond = inside == sample
             coefficients[beyond] = 0.0
-            coefficients[beyond, 0] = self._one[end]
+            coefficients[beyond, 0] = self.one[end]
         origins = middle - (inside - self.times[places])
         return origins, 1.0 / np.diff(self.times)[places], coefficients
 

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -125,18 +126,16 @@ class Signal:
         self.last = math.inf
         self._known: tuple[Any, Array, Sampled] | None = None
 
-    @property
+    @cached_property
     def series(self) -> Series | None:
-        """A series that all parts are like, or None."""
+        """The series of all numbers, where all parts are series that are alike."""
         found = [part.source for part in self.parts if isinstance(part.source, Series)]
-        alike = len(found) == len(self.parts) and all(found[0].like(series) for series in found[1:])
-        return found[0] if alike else None
-
-    def powers(self, first: Array, last: Array) -> tuple[Array, Array, Array]:
-        """As `Series.powers`, of series that are alike."""
-        parts = [part.source.powers(first, last) for part in self.parts]  # type: ignore[union-attr]
-        origins, scales, _ = parts[0]
-        return origins, scales, np.concatenate([powers for *_, powers in parts], axis=2)
+        if len(found) < len(self.parts) or not all(found[0].like(series) for series in found[1:]):
+            return None
+        if len(found) == 1:
+            return found[0]
+        rules = {"interpolation": found[0].interpolation, "outside": found[0].outside}
+        return Series(found[0].times, np.concatenate([s.one for s in found], axis=1), **rules)
 
     def breaks(self, end: float) -> Array:
         """Instants between 0 and `end` at which the numbers are not smooth."""
@@ -247,7 +246,7 @@ class Sampled:
         if self._exact is not None:
             middle = 0.5 * (first + last)
             count = self._exact.knows(middle)
-            edges, *new = last[:count], *self.signal.powers(first[:count], last[:count])
+            edges, *new = last[:count], *self._exact.powers(first[:count], last[:count])
             if count < len(first):
                 self._refused(float(middle[count]))
         else:
