@@ -228,10 +228,7 @@ def surface_map(grid: SurfaceGrid, degree: int | None) -> SurfaceToExterior:
 
 
 def layer_limit(
-    operators: SurfaceOperators,
-    density: Array,
-    force: Array,
-    torque: Array,
+    operators: SurfaceOperators, density: Array, force: Array, torque: Array
 ) -> tuple[Array, LayerPotentials]:
     """Outer limit (N, 3) on the surface, D[psi] - 4 pi psi + V, and the layers, of a density.
 

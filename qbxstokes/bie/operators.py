@@ -10,12 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from qbxstokes.bie.faxen import faxen_coefficients
-from qbxstokes.bie.functional import (
-    BodyModel,
-    ModalFunctional,
-    adjoint_weights,
-    resistance,
-)
+from qbxstokes.bie.functional import BodyModel, ModalFunctional, adjoint_weights, resistance
 from qbxstokes.bie.mobility import mobility_blocks
 from qbxstokes.bie.resistance import (
     Completion,

@@ -47,10 +47,7 @@ def flow_nodes(rate: float, tolerance: float) -> tuple[int, int]:
 
 
 def flow_error(
-    functional: ModalFunctional,
-    velocity: Callable[[Array], Array],
-    n_theta: int,
-    n_phi: int,
+    functional: ModalFunctional, velocity: Callable[[Array], Array], n_theta: int, n_phi: int
 ) -> float:
     """Relative change of the free motion from the grid to one half as fine again.
 

@@ -24,13 +24,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from qbxstokes.bie.accuracy import (
-    ROUNDING_FLOOR,
-    RowFormer,
-    parts_of,
-    perturbed_rows,
-    refined,
-)
+from qbxstokes.bie.accuracy import ROUNDING_FLOOR, RowFormer, parts_of, perturbed_rows, refined
 from qbxstokes.bie.functional import ErrorParts, GridFunctional
 from qbxstokes.bie.mobility import mobility_blocks
 from qbxstokes.bie.operators import DirectSolver, SolverFactory
@@ -42,12 +36,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.rotation import matrix
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
-from qbxstokes.qbx.operator import (
-    Scheme,
-    blocks_from_rows,
-    independent_rows,
-    layer_rows,
-)
+from qbxstokes.qbx.operator import Scheme, blocks_from_rows, independent_rows, layer_rows
 from qbxstokes.typing import Array
 
 # Azimuthal nodes that hold the modes 0, 1 and 2 with none at half their number.

@@ -15,10 +15,7 @@ from qbxstokes.plots.scales import is_log
 from qbxstokes.plots.style import Axes, Figure
 
 # Which number stands for many, how far its band reaches, and what the picture says of both.
-_AVERAGES = {
-    "mean": "mean and standard deviation",
-    "median": "median, 10 to 90 %",
-}
+_AVERAGES = {"mean": "mean and standard deviation", "median": "median, 10 to 90 %"}
 
 
 def averaged(columns: Columns, spec: Mapping[str, Any]) -> tuple[Columns, dict[str, Any]]:

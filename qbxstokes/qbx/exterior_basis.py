@@ -12,13 +12,7 @@ import numpy as np
 from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.qbx.exterior_kernel import (
-    all_ratios,
-    bends,
-    confocal,
-    second_derivatives,
-    slopes,
-)
+from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal, second_derivatives, slopes
 
 
 @njit(inline="always")

@@ -58,12 +58,7 @@ class GradedScheme:
         return self.radius_factor * shape.admissible_radius(theta).item()
 
     def rule(
-        self,
-        shape: Revolution,
-        theta: float,
-        side: int,
-        n_modes: int,
-        radius: float | None = None,
+        self, shape: Revolution, theta: float, side: int, n_modes: int, radius: float | None = None
     ) -> Rule:
         """Source rule of the centre at a radius, by default its own, from the target at theta."""
         # A panel must resolve the interpolated density and the azimuthal modes as well.
@@ -133,11 +128,7 @@ def independent_rows(shape: Revolution, n_theta: int) -> range:
 
 
 def layer_rows(
-    shape: Revolution,
-    scheme: Scheme,
-    n_modes: int,
-    rows: Sequence[int],
-    with_single: bool = False,
+    shape: Revolution, scheme: Scheme, n_modes: int, rows: Sequence[int], with_single: bool = False
 ) -> tuple[Array, Array]:
     """Rows of the double and the single layer at the targets theta[rows], phi = 0.
 
