@@ -196,10 +196,9 @@ class ExteriorField:
             return dict.fromkeys(WHAT, np.inf)
         return {name: change[name] + rounding * size[name] for name in WHAT}
 
-    def check_points(self, count: int = 12, seed: int = 0) -> Array:
+    def check_points(self, count: int) -> Array:
         """Random targets (count, 3) on the surface and from 1e-6 to ten body lengths away."""
-        rng = np.random.default_rng(seed)
-        shape = self.grid.shape
+        rng, shape = np.random.default_rng(0), self.grid.shape
         theta, phi = np.arccos(rng.uniform(-1, 1, count)), rng.uniform(0, 2 * np.pi, count)
         distance = shape.radius * 10.0 ** np.linspace(-6, 1.3, count)
         distance[0] = 0.0
@@ -215,10 +214,6 @@ class ExteriorField:
             for method in ("table", "quadrature")
         )
         return np.asarray(np.linalg.norm(table - direct, axis=-1) / (self.scale or 1.0))
-
-    def check(self, count: int = 12, seed: int = 0) -> float:
-        """Largest of the differences over random targets."""
-        return float(self.differences(self.check_points(count, seed)).max())
 
 
 @lru_cache(maxsize=32)

@@ -187,21 +187,20 @@ def animate(
     frames: int | None = None,
     fps: int = 25,
     window: tuple[float, float] | None = None,
-    camera: Camera = _VIEW,
 ) -> Film:
     """The animation of a motion over a window of time, the whole by default.
 
     Raises CaseError and ResultFileError where the file does not hold what is needed.
     """
     if coupled(result):
-        return _animate_together(result, frames, fps, window, camera)
+        return _animate_together(result, frames, fps, window)
     motion = Frames.of(result, frames, window)
     beside = moves(result)
     width = 2.0 * _SIDE if beside else _SIDE
     with style.styled():
         figure = _blank(width)
         axes = figure.add_axes((0.0, 0.0, _SIDE / width, 1.0))
-        scene = AxisView(axes, motion, shape_of(result), camera)
+        scene = AxisView(axes, motion, shape_of(result), _VIEW)
         place = _place_beside(figure, result, motion) if beside else None
 
     def show(frame: int) -> None:
@@ -213,11 +212,7 @@ def animate(
 
 
 def _animate_together(
-    result: ResultLike,
-    frames: int | None,
-    fps: int,
-    window: tuple[float, float] | None,
-    camera: Camera,
+    result: ResultLike, frames: int | None, fps: int, window: tuple[float, float] | None
 ) -> Film:
     """The animation of several bodies, or of one by a wall."""
     if "position" not in result.arrays or "orientation" not in result.arrays:
@@ -227,9 +222,9 @@ def _animate_together(
     if frames is None:
         frames = max(len(Frames.of(one, None, window).times) for one in alone)
     motions = [Frames.of(one, frames, window) for one in alone]
-    wall = wall_of(result)
+    wall, camera = wall_of(result), _VIEW
     if wall is not None and abs(wall[0][1]) > 0.7:  # a floor, or a ceiling, of a shear
-        camera = replace(camera, azimuth=camera.azimuth + 90.0, up=1)
+        camera = replace(_VIEW, azimuth=_VIEW.azimuth + 90.0, up=1)
     with style.styled():
         figure = _blank(_SIDE)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

@@ -47,17 +47,17 @@ def drawings(result: ResultLike) -> Drawings:
     return found
 
 
-def draw_field(result: ResultLike, stem: Path, kind: str = "pdf") -> list[Path]:
+def draw_field(result: ResultLike, stem: Path) -> list[Path]:
     """Draw what the result's group `field` holds, at its last instant; the files written.
 
-    stem: path of the pictures without the ending, to which the kind of each is added. Raises
-    CaseError where a picture cannot be written.
+    stem: path of the pictures without what they show and .pdf. Raises CaseError where one cannot be
+    written.
     """
-    written = []
-    for name, draw in drawings(result).items():
-        with style.styled():
-            written.append(style.save(draw(), Path(f"{stem}-{name}.{kind}")))
-    return written
+    with style.styled():
+        return [
+            style.save(draw(), Path(f"{stem}-{name}.pdf"))
+            for name, draw in drawings(result).items()
+        ]
 
 
 def velocity_figure(result: ResultLike, step: int = -1, lab: bool = False) -> Figure:

@@ -147,8 +147,8 @@ def between(times: Array, values: Array, rates: Array | None, at: Array) -> Arra
     return point
 
 
-def axis_path(times: Array, axis: Array, spin: Array | None, largest: float = 0.05) -> tuple:
-    """Times (m,) and axes (m, 3), with steps of at most about `largest` radians.
+def axis_path(times: Array, axis: Array, spin: Array | None) -> tuple:
+    """Times (m,) and axes (m, 3), with steps of at most about a twentieth of a radian.
 
     axis (n, 3) are unit vectors, spin (n, 3) the angular velocity in the same frame: the rate of
     the axis is their cross product. Rates are used where samples are less than a radian apart.
@@ -157,7 +157,7 @@ def axis_path(times: Array, axis: Array, spin: Array | None, largest: float = 0.
         return times, axis
     cosine = np.einsum("ij,ij->i", axis[:-1], axis[1:])
     angle = np.arctan2(np.linalg.norm(np.cross(axis[:-1], axis[1:]), axis=1), cosine)
-    counts = np.clip(np.ceil(angle / largest), 1, 80).astype(int)
+    counts = np.clip(np.ceil(angle / 0.05), 1, 80).astype(int)
     index = np.repeat(np.arange(len(counts)), counts)
     part = np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
     at = times[index] + (times[index + 1] - times[index]) * part / counts[index]

@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from io import BytesIO
-from itertools import cycle, islice
 from math import floor, inf, log10
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -212,7 +211,7 @@ def into(axes: Sequence[Axes]) -> Iterator[None]:
 
 def line_style(index: int, markers: bool = False) -> dict[str, Any]:
     """Keywords of the curve number `index`: colour, dashes, and a marker where asked for."""
-    color, dashes, marker = next(islice(cycle(LINES), index, None))
+    color, dashes, marker = LINES[index % len(LINES)]
     style: dict[str, Any] = {"color": color, "linestyle": dashes}
     if markers:
         style |= {"marker": marker, "markerfacecolor": "white", "markeredgewidth": 0.9}

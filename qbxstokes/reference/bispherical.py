@@ -277,35 +277,31 @@ class Bispherical:
         return -disturbance
 
 
-def near_wall(height: float, radius: float = 1.0) -> dict[str, float]:
-    """A sphere by a wall: resistances over the Stokes ones, as Goldman, Cox & Brenner (1967) give.
+def near_wall(height: float) -> dict[str, float]:
+    """A unit sphere by a wall: resistances over Stokes's, as Goldman, Cox & Brenner (1967) give.
 
-    normal, parallel (f/(6 pi a)), rotation_normal, rotation_parallel (t/(8 pi a^3)) and coupling:
-    force on the fluid over 6 pi a^2 per angular velocity; shear_force over 6 pi a h, shear_torque
-    over 4 pi a^3: force and torque ON the sphere held in unit shear.
+    normal, parallel (f/(6 pi)), rotation_normal, rotation_parallel (t/(8 pi)) and coupling: force
+    on the fluid over 6 pi per angular velocity; shear_force over 6 pi h, shear_torque over 4 pi:
+    force and torque ON the sphere held in unit shear.
     """
-    scene = Bispherical(radius, math.inf, height - radius)
+    scene, six, eight = Bispherical(1.0, math.inf, height - 1.0), 6.0 * np.pi, 8.0 * np.pi
     across, held = scene.across(), scene.held_in_shear()
-    six, eight = 6.0 * np.pi * radius, 8.0 * np.pi * radius**3
     return {
         "normal": float(scene.along()[0, 0]) / six,
         "parallel": float(across[0, 0]) / six,
         "rotation_parallel": float(across[1, 1]) / eight,
         "rotation_normal": float(scene.about()[0, 0]) / eight,
-        "coupling": float(across[0, 1]) / (six * radius),
+        "coupling": float(across[0, 1]) / six,
         "shear_force": float(held[0]) / (six * height),
-        "shear_torque": float(held[1]) / (4.0 * np.pi * radius**3),
+        "shear_torque": float(held[1]) / (4.0 * np.pi),
     }
 
 
-def brenner(height: float, terms: int = 2000) -> float:
+def brenner(height: float) -> float:
     """Normal resistance of a unit sphere by a wall over 6 pi (Brenner 1961, eq. 2.19)."""
     a = math.acosh(height)
-    total = 0.0
-    for n in range(1, terms):
-        if (2 * n + 1) * a > 600.0:
-            break
-        top = 2.0 * math.sinh((2 * n + 1) * a) + (2 * n + 1) * math.sinh(2 * a)
-        bottom = 4.0 * math.sinh((n + 0.5) * a) ** 2 - (2 * n + 1) ** 2 * math.sinh(a) ** 2
-        total += n * (n + 1) / ((2 * n - 1) * (2 * n + 3)) * (top / bottom - 1.0)
-    return 4.0 / 3.0 * math.sinh(a) * total
+    n = np.arange(1.0, min(2000.0, 300.0 / a))
+    top = 2.0 * np.sinh((2 * n + 1) * a) + (2 * n + 1) * math.sinh(2 * a)
+    bottom = 4.0 * np.sinh((n + 0.5) * a) ** 2 - (2 * n + 1) ** 2 * math.sinh(a) ** 2
+    terms = n * (n + 1) / ((2 * n - 1) * (2 * n + 3)) * (top / bottom - 1.0)
+    return float(4.0 / 3.0 * math.sinh(a) * np.sum(terms))

@@ -55,11 +55,10 @@ def relaxation_rates(k: float) -> tuple[float, float, float, float]:
     return transverse / volume(k), axial / volume(k), *rotation
 
 
-def jeffery_orbit(k: float, constant: float, nodes: int = _NODES) -> tuple[Array, Array]:
-    """Axis (nodes, 3) and its rate on an orbit at equal steps of time; constant may be infinite."""
-    phase = 2.0 * np.pi * np.arange(nodes) / nodes
+def jeffery_orbit(k: float, constant: float) -> tuple[Array, Array]:
+    """Axis (n, 3) and its rate on an orbit at equal steps of time; constant may be infinite."""
     start = np.array([1.0, 0.0, 0.0]) if np.isinf(constant) else np.array([constant, 0.0, 1.0])
-    times = jeffery.period(k) * phase / (2.0 * np.pi)
+    times = jeffery.period(k) * np.arange(_NODES) / _NODES
     d = jeffery.axis_at(times, k, start / np.linalg.norm(start))
     return d, jeffery_rate(k, d)
 
