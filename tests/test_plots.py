@@ -29,6 +29,7 @@ from qbxstokes.plots.animation import Frames, animate
 from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.columns import Columns, figure_of
 from qbxstokes.plots.orbit import drifts
+from qbxstokes.plots.picture_choice import kinds
 from qbxstokes.plots.picture_source import axis_path, between, sampling
 from qbxstokes.plots.series import alike, draw_path
 from qbxstokes.reference import jeffery
@@ -180,6 +181,13 @@ def test_tiny_drift_is_an_error_and_a_large_one_a_rate(tmp_path: Path, times: Ar
     axes = figure(load(write(tmp_path / "a.h5", block)), "constant").axes[1]
     np.testing.assert_allclose(axes.get_lines()[0].get_ydata()[1:], 1e-9 * times[1:], rtol=1e-5)
     assert axes.get_yscale() == "log"
+
+
+def test_every_quantity_is_drawn_by_its_name(result: Result) -> None:
+    with style.styled():
+        (axes,) = kinds(result, ["orientation"])["orientation"]().axes
+    for i in range(4):
+        np.testing.assert_array_equal(drawn(axes, f"$q_{i}$")[1], result.orientation[:, i])
 
 
 def test_path_separates_drift_from_stream(result: Result) -> None:

@@ -7,6 +7,7 @@ stream is not flattened by the motion along it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -179,6 +180,8 @@ def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
                 found += constant_panels(result)
             elif name in STRESS:
                 found += stress_panels(result, name)
+            elif RECORDABLE[name].shape != (3,):
+                found.append(partial(draw_quantity, result=result, name=name))
             else:
                 draw = _three if name in ("axis", "euler_angles") else vector_panels
                 found += draw(result, name)
