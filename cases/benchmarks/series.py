@@ -9,7 +9,7 @@ Expected: errors within the tolerance. A single motion takes 2 ms where the scri
           a process that has followed some bodies: the first ones take 5 ms. A gradient is
           sampled beforehand ("sampling": the calls of the user's function), once for all.
           Many bodies in one flow take 18 us each, as in a steady one; their axes alone take 1.5
-          ms in all. Lanes with series of their own take 1.4 us a sample. Paths of an ensemble
+          ms in all. Lanes with series of their own take 2 us a sample. Paths of an ensemble
           take as long as the script, statistics included; "all" follows the first 256 once
           more, on fewer samples.
 """
