@@ -409,7 +409,13 @@ def test_a_compiled_function_moves_a_body_as_the_plain_one(tmp_path: Path) -> No
         qs.flow("user", function=name, compiled=True)
 
 
-@pytest.mark.parametrize(("stokes_number", "loaded"), [(0.0, True), (2.0, False), (2.0, True)])
+@pytest.mark.parametrize(
+    ("stokes_number", "loaded"),
+    [
+        (2.0, True),
+        *(pytest.param(*p, marks=pytest.mark.slow) for p in ((0.0, True), (1e-3, True))),
+    ],
+)
 def test_compiled_flows_with_loads_and_inertia(
     stokes_number: float, loaded: bool, tmp_path: Path
 ) -> None:
@@ -438,8 +444,11 @@ def test_compiled_flows_with_loads_and_inertia(
         )
         for name in ("slow", "fast")
     )
+    stiff = stokes_number == 1e-3
+    assert fast.summary["method"] == slow.summary["method"] == ("bdf" if stiff else "8vr")
     for name in ("axis", "position", "velocity"):
-        assert np.abs(getattr(fast, name) - getattr(slow, name)).max() < 1e-12
+        off = np.abs(getattr(fast, name) - getattr(slow, name)).max()
+        assert off < (1e-9 if stiff else 1e-12)  # Jacobians are not the same to the last digit
 
 
 def test_functions_of_c_move_a_body_as_the_plain_one(tmp_path: Path) -> None:

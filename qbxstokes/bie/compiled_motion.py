@@ -6,6 +6,7 @@ Imported where such a flow is there: numba comes with it, and compiles once for 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -15,7 +16,10 @@ import numpy as np
 from qbxstokes.bie.providers import MonitoredGridMotion
 from qbxstokes.typing import Array
 
+Function = Callable[[float, Array, Array], None]
+
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
+_STEP = 1e-5  # of differences, in lengths of the body and parts of a quaternion
 
 
 @inner
@@ -156,6 +160,43 @@ def rates_of(
     return good
 
 
+@inner
+def slopes_of(
+    point: Any, t: float, y: Any, points: Any, weights: Any, body: Any, inertial: bool, out: Any
+) -> None:
+    """d(dy/dt)/dy (n, s, s) of bodies in states y (s, n), by central differences."""
+    size = len(y)
+    state, own, two = np.empty((size, 1)), np.empty((21, 1)), np.empty((2, size, 1))
+    for b in range(y.shape[1]):
+        for i in range(21):
+            own[i, 0] = body[i, b]
+        for i in range(size):
+            state[i, 0] = y[i, b]
+        for j in range(size):
+            step = _STEP * max(1.0, abs(y[j, b]) if j > 6 else 0.0)
+            for side in range(2):
+                state[j, 0] = y[j, b] + (1.0 - 2.0 * side) * step
+                rates_of(point, t, state, points, weights, own, inertial, two[side])
+            state[j, 0] = y[j, b]
+            for i in range(size):
+                out[b, i, j] = 0.5 * (two[0, i, 0] - two[1, i, 0]) / step
+
+
+@cache
+def _of_bodies(point: Any) -> Any:
+    """`rates_of` and `slopes_of` in one flow."""
+
+    @inner
+    def rates(t: float, y: Any, points: Any, weights: Any, body: Any, out: Any) -> None:
+        rates_of(point, t, y, points, weights, body, len(y) > 7, out)
+
+    @inner
+    def slopes(t: float, y: Any, points: Any, weights: Any, body: Any, out: Any) -> None:
+        slopes_of(point, t, y, points, weights, body, len(y) > 7, out)
+
+    return rates, slopes
+
+
 @cache
 def _in_flow(point: Any) -> Any:
     """`sampled` and `excess_of` in one flow, which numba need not be told at every call."""
@@ -185,6 +226,22 @@ class CompiledMotion(MonitoredGridMotion):
     def grid_of_run(self) -> tuple[Array, Array] | None:
         """Points and weights of the grid of a run, None outside of one."""
         return None if self._rung is None else self._on_rung(self._rung).grid
+
+    def rates_of_run(self, body: Array) -> Function:
+        """The function (t, y, out) that writes dy/dt (s, n); body: as of `rates_of`."""
+        return self._on_states(_of_bodies(self._flow.point_function)[0], body)
+
+    def slopes_of_run(self, body: Array) -> Function:
+        """The function (t, y, out) that writes the Jacobians (n, s, s)."""
+        return self._on_states(_of_bodies(self._flow.point_function)[1], body)
+
+    def _on_states(self, run: Any, body: Array) -> Function:
+        def function(t: float, y: Array, out: Array) -> None:
+            assert self.grid_of_run is not None
+            now = self._flow.before_break(t)
+            run(now, np.array(y, order="C"), *self.grid_of_run, body, out)
+
+        return function
 
     def _sampled(self, grid: Any, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
         flow, motion, sizes = self._flow, np.empty((len(x), 6)), np.empty((2, len(x)))

@@ -94,6 +94,8 @@ class RigidBodyEquations(Pieces):
 
         still: centres that stay, where y is to be without them (`motion.centred`, compiled alone).
         """
+        if (motion := self._of_run) is not None:
+            return motion[0].rates_of_run(motion[1])  # type: ignore[no-any-return]
         if self.direct:
             found: Callable[[float, Array, Array], None] = self._provider.rates  # type: ignore[union-attr]
             return found
@@ -102,10 +104,19 @@ class RigidBodyEquations(Pieces):
     @property
     def direct(self) -> bool:
         """Whether the provider finds dy/dt itself."""
-        return self._force_free and hasattr(self._provider, "rates")
+        own = self._force_free and hasattr(self._provider, "rates")
+        return own or self._of_run is not None
+
+    @property
+    def _of_run(self) -> tuple[Any, Array] | None:
+        """`function_rows` in a run."""
+        found = self.function_rows
+        return None if found is None or found[0].grid_of_run is None else found
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the blocks (n_lanes, n_state, n_state)."""
+        if (motion := self._of_run) is not None:
+            return motion[0].slopes_of_run(motion[1])  # type: ignore[no-any-return]
         return self._compiled("jacobian_block") if self.compiled(evaluations) else self.jacobian
 
     @property

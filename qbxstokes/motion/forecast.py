@@ -21,10 +21,9 @@ WITHIN = 20.0
 AFFORDED = 30.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
 LOOSE = 1e-6
-# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF; the same where
-# the explicit ones are a C function, and the others are not.
+# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF.
 STAGES = 13
-_IMPLICIT_COST, _OF_FUNCTIONS = 50.0, 200.0
+IMPLICIT_COST = 50
 # Steps that BDF takes at least to reach its highest order.
 _START = 150
 # Steps of an implicit formula of one step after a break.
@@ -34,11 +33,6 @@ _FRESH = 40
 def floor_of(kind: str) -> float:
     """Smallest local tolerance of a type of integrator."""
     return _FLOORS.get(kind, FLOOR)
-
-
-def implicit_cost(equations: RigidBodyEquations) -> float:
-    """Explicit right-hand sides that take as long as a step of BDF."""
-    return _IMPLICIT_COST if equations.function_rows is None else _OF_FUNCTIONS
 
 
 class Forecast:
@@ -60,7 +54,7 @@ class Forecast:
 
         breaks: instants at which the steps begin afresh.
         """
-        self._breaks, self._implicit = breaks, implicit_cost(equations)
+        self._breaks = breaks
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
         self._span = (end - t) * float(np.max(equations.mean_rate(t, state, end - t)))
@@ -101,7 +95,7 @@ class Forecast:
 
     def evaluations(self, kind: str) -> float:
         """Right-hand sides, with each Jacobian counted as so many."""
-        return self.steps(kind) * (STAGES if kind in EXPLICIT_TYPES else self._implicit)
+        return self.steps(kind) * (STAGES if kind in EXPLICIT_TYPES else IMPLICIT_COST)
 
     @property
     def method(self) -> str:
@@ -112,7 +106,7 @@ class Forecast:
         """
         missed = self.reachable("bdf") > WITHIN * self._asked >= self.reachable("rk")
         share = AFFORDED if missed else 1.0
-        implicit = self.evaluations("bdf") + _START * self._implicit
+        implicit = self.evaluations("bdf") + _START * IMPLICIT_COST
         if share * implicit < self.evaluations("rk"):
             if self._breaks * _START < self.steps("bdf"):
                 return "bdf"

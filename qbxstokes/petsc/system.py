@@ -223,8 +223,8 @@ class System:
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
         counter, equations = self.counter, self.equations
 
-        alone = equations.layout.columns == 1
-        if alone and not (equations.direct or equations.compiled(self._repaid)):
+        alone, direct = equations.layout.columns == 1, equations.direct
+        if alone and not (direct or equations.compiled(self._repaid)):
             single = equations.rate_of_rows
 
             def callback(ts: Any, t: float, state: Any, rate: Any) -> None:
@@ -258,7 +258,7 @@ class System:
                     rate.setArray(self.layout.flat_by_lane(out.T))
                 else:  # in place: a copy would cost as much as a stage's vector operation
                     function(t, y, rate.getArray().reshape(out.shape))
-                if alone and equations.direct and not math.isfinite(rate.getArray().sum()):
+                if alone and direct and not math.isfinite(rate.getArray().sum()):
                     counter.refusal, counter.astray = None, True
                     rate.set(0.0)
             except BaseException as failure:
