@@ -51,6 +51,7 @@ def told() -> Told:
     [
         "from qbxstokes.runs.parallel import world; world()",
         "from qbxstokes.petsc import session; session.start()",
+        "import qbxstokes as qs; qs.Suspension([qs.Body(1)], tolerance=0.1).free(None, [0, 0, 0])",
     ],
 )
 def test_a_single_process_starts_no_daemon_and_leaves_no_trace(told: Told, start: str) -> None:

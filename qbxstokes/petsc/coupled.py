@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 from qbxstokes.bie.multiple_scattering import Coupled
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.petsc.launch import finish_asleep
-from qbxstokes.petsc.session import temporary_options
+from qbxstokes.petsc.session import start, temporary_options
 from qbxstokes.typing import Array, ComplexArray
+
+PETSc = start()  # no process by itself waits for others to join it
 
 _RESTART = 200
 PAUSE = 2e-5  # seconds between looks of a rank that waits for others in a solve

@@ -161,6 +161,9 @@ class Together:
 
     def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
         """`petsc.stepper.integrate` of the equations with the scene's tolerance."""
+        from qbxstokes.petsc import session
+
+        session.start()
         from qbxstokes.petsc.stepper import integrate
 
         equations, end, flow = self.equations, float(times[-1]), self.scene.flow
