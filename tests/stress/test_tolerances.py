@@ -21,7 +21,7 @@ from qbxstokes.simulation.ensemble import Ensemble
 
 END = 10.0
 FREQUENCY = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
-RUNS = int(os.environ.get("RUNS", 16))
+RUNS = int(os.environ.get("RUNS", 8))
 KINDS = ("smooth", "linear", "hold", "pulse")
 
 
