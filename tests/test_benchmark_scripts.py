@@ -140,7 +140,7 @@ def test_cases_say_what_they_are(name: str, run_cli: Run) -> None:
 @pytest.mark.slow
 def test_series() -> None:
     tables = small("series")
-    assert np.all(column(tables["series"], "error") < 1e-6)
+    assert all(row["error"] is None or row["error"] < 1e-6 for row in tables["series"])
     assert np.all(column(tables["ensemble"], "us") > 0.0)
 
 

@@ -30,9 +30,7 @@ _KINDS = {"displacement": "position", "velocity": "velocity", "rotation": "axis"
 
 def coupled(result: ResultLike) -> bool:
     """Whether the result is a motion of several bodies, or of one by a wall."""
-    case = resolved_case(result)
-    around = case.get("surroundings") or {}
-    return bool(case.get("bodies")) or around.get("type") == "wall"
+    return bool(resolved_case(result).get("bodies")) or wall_of(result) is not None
 
 
 def drawings(result: ResultLike) -> Drawings:
@@ -72,10 +70,8 @@ def series_figure(result: ResultLike, name: str) -> Figure:
         draw_lines(axes, times, [(f"body {b + 1}", shown[:, b]) for b in range(shown.shape[1])])
         symbol = rf"\Delta {about.symbols[component]}" if name == "position" else None
         style.set_ylabel(axes, f"${symbol or about.symbols[component]}$", units(result, name))
-        if component:
-            legend = axes.get_legend()
-            if legend is not None:
-                legend.remove()
+        if component and (legend := axes.get_legend()) is not None:
+            legend.remove()
         if component < 2:
             axes.set_xlabel("")
     style.letter_panels(list(panels))
@@ -150,12 +146,10 @@ def _apart(path: Array, distance: float) -> list[int]:
 def _plane(result: ResultLike, position: Array) -> tuple[int, int]:
     """The coordinates that are drawn: those in which paths extend, and the wall's normal."""
     first, second = plane_of_motion(position.reshape(-1, 3))
-    around = resolved_case(result).get("surroundings") or {}
-    if around.get("type") == "wall":
-        normal = int(np.argmax(np.abs(around["normal"])))
-        first = second if first == normal else first
-        return first, normal
-    return first, second
+    if (wall := wall_of(result)) is None:
+        return first, second
+    normal = int(np.argmax(np.abs(wall[0])))
+    return second if first == normal else first, normal
 
 
 def _edge(shape: Any, size: float, axis: Array, plane: list[int]) -> Array:

@@ -37,13 +37,11 @@ class Camera:
 
     def project(self, points: ArrayLike) -> Array:
         """Coordinates on paper (..., 2) of points (..., 3)."""
-        projected: Array = np.asarray(points, dtype=float) @ self.frame[:2].T
-        return projected
+        return np.asarray(np.asarray(points, dtype=float) @ self.frame[:2].T)
 
     def depth(self, points: ArrayLike) -> Array:
         """Distance towards the viewer (...) of points (..., 3); positive is in front."""
-        distance: Array = np.asarray(points, dtype=float) @ self.frame[2]
-        return distance
+        return np.asarray(np.asarray(points, dtype=float) @ self.frame[2])
 
 
 def split_at_silhouette(points: Array, depth: Array) -> tuple[list[Array], list[Array]]:
