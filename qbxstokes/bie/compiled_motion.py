@@ -59,17 +59,6 @@ def sizes_of(u: Any) -> Any:
 
 
 @inner
-def sampled(
-    point: Any, t: float, x: Any, rotation: Any, points: Any, weights: Any, out: Any, sizes: Any
-) -> None:
-    """Free motions (n, 6) in the body frame and `resolution.flow_sizes` (2, n)."""
-    u = np.empty((len(points), 3))
-    for b in range(len(x)):
-        on_grid(point, t, x[b], rotation[b], points, weights, u, out[b])
-        sizes[0, b], sizes[1, b] = sizes_of(u)
-
-
-@inner
 def turn_of(q: Any, r: Any) -> None:
     """The rotation r (3, 3) of a quaternion of any length."""
     a, b, c, d = q[0], q[1], q[2], q[3]
@@ -199,17 +188,13 @@ def _of_bodies(point: Any) -> Any:
 
 @cache
 def _in_flow(point: Any) -> Any:
-    """`sampled` and `excess_of` in one flow, which numba need not be told at every call."""
-
-    @inner
-    def sample(t: float, x: Any, r: Any, points: Any, weights: Any, out: Any, sizes: Any) -> None:
-        sampled(point, t, x, r, points, weights, out, sizes)
+    """`excess_of` in one flow, which numba need not be told at every call."""
 
     @inner
     def excess(t: float, x: Any, q: Any, fine: Any, coarse: Any, r: float, limits: Any) -> Any:
         return excess_of(point, t, x, q, fine, coarse, r, limits)
 
-    return sample, excess
+    return excess
 
 
 class CompiledMotion(MonitoredGridMotion):
@@ -243,14 +228,8 @@ class CompiledMotion(MonitoredGridMotion):
 
         return function
 
-    def _sampled(self, grid: Any, t: float, x: Array, rotation: Array) -> tuple[Array, Array]:
-        flow, motion, sizes = self._flow, np.empty((len(x), 6)), np.empty((2, len(x)))
-        (run, _), now = _in_flow(flow.point_function), flow.before_break(t)
-        run(now, x, rotation, *grid.grid, motion, sizes)
-        return motion, sizes
-
     def _excess(self, rung: int, t: float, x: Array, q: Array) -> tuple[float, int]:
-        _, run = _in_flow(self._flow.point_function)
+        run = _in_flow(self._flow.point_function)
         limits = *self._allowed, self._tolerance
         grids = self._on_rung(rung + 2).grid, self._on_rung(rung).grid
         found: tuple[float, int] = run(

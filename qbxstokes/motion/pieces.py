@@ -260,20 +260,20 @@ class Pieces:
             *(pull[ROTATION] if omega is None else still),
         )
 
-    def _motion_slopes(self, t: float, y: Array) -> Array:
-        """d(U, Omega)/d(x, q) of a provider, (n, 6, 7), by central differences in one call."""
+    def _motion_slopes(self, t: float, y: Array, count: int = N_MASSLESS) -> Array:
+        """d(U, Omega)/d(x, q) of a provider, (n, 6, count), by central differences in one call."""
         assert self._provider is not None
         step = 1e-5
         states = y[:N_MASSLESS].T
-        moved = np.repeat(states[None], 14, axis=0)
-        for j in range(7):
+        moved = np.repeat(states[None], 2 * count, axis=0)
+        for j in range(count):
             moved[2 * j, :, j] += step
             moved[2 * j + 1, :, j] -= step
-        flat = moved.reshape(-1, 7)
+        flat = moved.reshape(-1, N_MASSLESS)
         u, omega = self._provider.free_motion(
             t, flat[:, POSITION], rotation.normalize(flat[:, ORIENTATION])
         )
-        motion = np.concatenate([u, omega], axis=1).reshape(7, 2, self.n_lanes, 6)
+        motion = np.concatenate([u, omega], axis=1).reshape(count, 2, self.n_lanes, 6)
         return np.asarray(np.moveaxis((motion[:, 0] - motion[:, 1]) / (2.0 * step), 0, -1))
 
     def initial_state(
@@ -390,7 +390,7 @@ class Pieces:
             for flow, lanes in self._flows.groups():
                 gradient[lanes] = flow.gradient(y[lanes, POSITION], t)
             return gradient
-        return self._motion_slopes(t, np.ascontiguousarray(y.T))[:, TRANSLATION, POSITION]
+        return self._motion_slopes(t, np.ascontiguousarray(y.T), 3)[:, TRANSLATION]
 
 
 def _key_of_flow(flow: Any) -> Any:
