@@ -31,8 +31,7 @@ def state(result: ResultLike, step: int, name: str) -> Array:
     """Quantity of the body at an instant of the field."""
     times = np.asarray(result.arrays["time"])
     instant = result.groups["field"]["time"][step]
-    value: Array = np.asarray(result.arrays[name])[int(np.abs(times - instant).argmin())]
-    return value
+    return np.asarray(np.asarray(result.arrays[name])[int(np.abs(times - instant).argmin())])
 
 
 def view_of(result: ResultLike, field: Mapping[str, Any], step: int) -> tuple[Array, Array]:

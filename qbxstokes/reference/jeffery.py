@@ -70,8 +70,7 @@ def torque(k: float, gradient: ArrayLike, angular_velocity: ArrayLike) -> Array:
     second = (1.0 - square) * strain[..., 0, 2] - (square + 1.0) * (omega[..., 1] - spin[..., 0, 2])
     third = -(spin[..., 0, 1] + omega[..., 2])
     parts = np.broadcast_arrays(first / across, second / across, third / alpha)
-    result: Array = 16.0 * np.pi / 3.0 * np.stack(parts, axis=-1)
-    return result
+    return np.asarray(16.0 * np.pi / 3.0 * np.stack(parts, axis=-1))
 
 
 def period(k: float, rate: float = 1.0) -> float:
@@ -110,8 +109,7 @@ def axis_at(t: ArrayLike, k: float, axis: ArrayLike, rate: float = 1.0) -> Array
         ],
         axis=-1,
     )
-    result: Array = stretched / np.linalg.norm(stretched, axis=-1, keepdims=True)
-    return result
+    return np.asarray(stretched / np.linalg.norm(stretched, axis=-1, keepdims=True))
 
 
 def axis_in_linear_flow(t: float, k: float, gradient: ArrayLike, axis: ArrayLike) -> Array:
@@ -124,5 +122,4 @@ def axis_in_linear_flow(t: float, k: float, gradient: ArrayLike, axis: ArrayLike
     a = np.asarray(gradient, dtype=float)
     shape = (1.0 - k * k) / (1.0 + k * k)
     moved = expm(t * (0.5 * (a - a.T) + shape * 0.5 * (a + a.T))) @ np.asarray(axis, dtype=float)
-    result: Array = moved / np.linalg.norm(moved)
-    return result
+    return np.asarray(moved / np.linalg.norm(moved))

@@ -139,5 +139,4 @@ def stresslet(
         across = np.cross(torque, axis)
         beta = (1.0 - k * k) / (1.0 + k * k)
         body = body + 0.5 * beta * (np.outer(axis, across) + np.outer(across, axis))
-    result: Array = turn @ body @ turn.T
-    return result
+    return np.asarray(turn @ body @ turn.T)
