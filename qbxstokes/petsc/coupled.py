@@ -24,7 +24,8 @@ from qbxstokes.typing import Array, ComplexArray
 PETSc = start()  # no process by itself waits for others to join it
 
 _RESTART = 200
-PAUSE = 2e-5  # seconds between looks of a rank that waits for others in a solve
+# Seconds between looks of a rank that waits for others in a solve, and before it sleeps at all.
+PAUSE, AWAKE = 2e-5, 1e-4
 
 
 class CoupledSolver:
@@ -41,7 +42,7 @@ class CoupledSolver:
         self.comm = PETSc.COMM_SELF if comm is None else comm
         self._mpi = self.comm.tompi4py() if self.comm.getSize() > 1 else None
         if self._mpi is not None:
-            finish_asleep(self._mpi.Ibarrier(), PAUSE)
+            finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
             self._shares = dealt(problem, self.comm.getSize())
         self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
@@ -71,7 +72,7 @@ class CoupledSolver:
         request = self._mpi.Iallgatherv(mine, [whole, counts])
 
         def wait() -> dict[int, NDArray[Any]]:
-            finish_asleep(request, PAUSE)
+            finish_asleep(request, PAUSE, AWAKE)
             found, begin = {}, 0
             for b in (b for some in order for b in some):
                 end = begin + math.prod(shape(b))
@@ -107,7 +108,7 @@ class CoupledSolver:
             arriving.append(problem.arriving(b, later))
         y.setArray(unknowns + problem.joined(arriving))
         if self._mpi is not None:  # PETSc's own sums over the ranks, next, wait awake
-            finish_asleep(self._mpi.Ibarrier(), PAUSE)
+            finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
 
     def solve(self, data: list[Array], guess: Array | None = None) -> Array:
         """Unknowns of the own bodies, for `swept`, from data (N, 3) on each.

@@ -63,10 +63,15 @@ def starting_mpi() -> Iterator[None]:
                 os.unsetenv(name)
 
 
-def finish_asleep(request: Any, pause: float = 2e-3) -> None:
-    """Wait for what ranks do together, asleep between looks: those at work have their cores."""
+def finish_asleep(request: Any, pause: float = 2e-3, awake: float = 0.0) -> None:
+    """Wait for what ranks do together, asleep between looks: those at work have their cores.
+
+    awake: time (s) before the first sleep.
+    """
+    until = time.perf_counter() + awake
     while not request.Test():
-        time.sleep(pause)
+        if time.perf_counter() >= until:
+            time.sleep(pause)
 
 
 def _environment() -> set[str]:
