@@ -96,7 +96,9 @@ class ExteriorField:
         values = self.table.evaluate(points, what, 0.1 * limit)
         sources = np.where(np.isnan(values["pressure"]), INSIDE, TABLE)
         if method == "auto" and self.boundary_error > limit:
-            poor = (sources == TABLE) & (self.boundary_error * self._decay(points) > limit)
+            # What the highest degree of the table has left from the surface to the points, or more.
+            left = self.grid.shape.decay(points) ** (self.table.harmonics.degree + 1)
+            poor = (sources == TABLE) & (self.boundary_error * left > limit)
             if poor.any():
                 direct, sources[poor] = self._layers.evaluate(points[poor], tolerance)
                 for name in what:
@@ -112,10 +114,6 @@ class ExteriorField:
                 "and has no density to be summed; ask for a larger tolerance or give more points"
             )
         return self.potentials
-
-    def _decay(self, points: Array) -> Array:
-        """Decay (N,) of the highest degree of the table from the surface to the points, or more."""
-        return np.asarray(self.grid.shape.decay(points) ** (self.table.harmonics.degree + 1))
 
     # -- force, torque, stresslet -------------------------------------------------------------
 
@@ -234,14 +232,10 @@ def layer_limit(
     double = ModalOperator(operators.double_layer, grid.n_theta, grid.n_phi)
     limit = double.apply(density) - 4.0 * np.pi * density
     limit = limit + completion_velocity(operators, force, torque)
-    weight = completion_weight(grid, force, torque)
-    return limit, LayerPotentials(grid, density, weight)
-
-
-def completion_weight(grid: SurfaceGrid, force: Array, torque: Array) -> Array:
-    """Coefficients (6,) of the density a + b x y of the spread completion (see `resistance`)."""
+    # Of the density a + b x y of the spread completion (see `resistance`).
     spin = np.asarray(torque) * grid.shape.torque_density
-    return np.concatenate([np.asarray(force) / (4.0 * np.pi), spin])
+    weight = np.concatenate([np.asarray(force) / (4.0 * np.pi), spin])
+    return limit, LayerPotentials(grid, density, weight)
 
 
 def completion_velocity(operators: SurfaceOperators, force: Array, torque: Array) -> Array:

@@ -94,9 +94,11 @@ def drawings(result: ResultLike) -> Drawings:
     A picture is left out where its quantity is not in the file or does nothing: the path of a
     centre at rest, the force on a massless body.
     """
-    found: Drawings = bodies.drawings(result) if _coupled(result) else {}
-    if "position" in result.arrays and result.arrays["position"].ndim == 3:
-        return found
+    found: Drawings = {}
+    if "position" in result.arrays:
+        found = bodies.drawings(result) if bodies.coupled(result) else {}
+        if result.arrays["position"].ndim == 3:
+            return found
     if "axis" in result.arrays:
         found["orbit"] = partial(orbit_figure, result)
     if moves(result):
@@ -110,10 +112,6 @@ def drawings(result: ResultLike) -> Drawings:
     if note := sampling(result):
         found = {kind: partial(_noted, draw, note) for kind, draw in found.items()}
     return {kind: found[kind] for kind in (*bodies.KINDS, *KINDS) if kind in found}
-
-
-def _coupled(result: ResultLike) -> bool:
-    return "position" in result.arrays and bodies.coupled(result)
 
 
 def _noted(draw: Callable[[], Figure], note: str) -> Figure:
