@@ -95,6 +95,8 @@ def test_axes_of_what_has_no_matrix_are_refused() -> None:
     for body, flow in ((qs.Body(0.5), "paraboloid"), (qs.Body(0.5, stokes_number=1.0), "shear")):
         with pytest.raises(SceneError, match="integrate"):
             body.axes(qs.flow(flow), [1.0])
+    with pytest.raises(FlowError, match="too fast"):
+        qs.Body(0.5).axes(qs.flow("shear", rate=1e30), [1.0])
 
 
 @pytest.mark.parametrize("k", [0.2, 5.0])

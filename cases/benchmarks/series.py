@@ -4,12 +4,13 @@ A spheroid of k = 1/5, massless, in a gradient of five cosines over T = 20, tole
 script is DOP853 of Jeffery's equation in numba, warm. `bar`: what it ought to be.
 
 Run:      python cases/benchmarks/series.py      (2 min; --small: 30 s; --csv)
-Expected: errors within the tolerance. A single motion takes 2 ms where the script takes 0.13, of
-          which PETSc's 55 steps are 0.5; along samples 6 ms, a step for each of 400. That is in
-          a process that has followed some bodies: the first ones take 5 ms. A gradient is
-          sampled beforehand ("sampling": the calls of the user's function), once for all.
-          Many bodies in one flow take 18 us each, as in a steady one; their axes alone take 1.5
-          ms in all. Lanes with series of their own take 2 us a sample. Paths of an ensemble
+Expected: errors within the tolerance. The axis of one body alone (`Body.axes`) takes 0.2 ms, as the
+          script does (0.13); along samples 0.27 ms. A motion with place, quaternion and events
+          takes 2 ms, of which PETSc's 55 steps are 0.5; along samples 6 ms, a step for each of
+          400. That is in a process that has followed some bodies: the first ones take 5 ms. A
+          gradient is sampled beforehand ("sampling": the calls of the user's function), once for
+          all. Many bodies in one flow take 18 us each, as in a steady one; their axes alone take
+          0.9 ms in all. Lanes with series of their own take 2 us a sample. Paths of an ensemble
           take as long as the script, statistics included; "all" follows the first 256 once
           more, on fewer samples.
 """
@@ -116,6 +117,14 @@ def followed(amplitude, count, repeats):
         spent, motion = timed(lambda: scene.motion([END]), repeats, time.thread_time)
         return spent, motion.axis
 
+    def turned(flow, start, calls):
+        """Time of one call for the axes alone, after a first one, and these at the end."""
+        body.axes(flow, [END], start)
+        many = timed(
+            lambda: [body.axes(flow, [END], start) for _ in range(calls)], 3, time.thread_time
+        )
+        return many[0] / calls, many[1][0]
+
     def component(i, j):
         parts = zip(amplitude[:, i, j], FREQUENCY, strict=True)
         return " + ".join(f"({a:.17g})*cos({f}*t + 1)" for a, f in parts)
@@ -133,6 +142,8 @@ def followed(amplitude, count, repeats):
     for name, what in given.items():
         own, axis = moved(what, AXIS, repeats)
         rows.append(row(f"one body, {name}", own, axis[-1], exact, 2.0 * spent / 100))
+        own, axis = turned(qs.flow("linear", gradient=what), AXIS, 20)
+        rows.append(row(f"one axis, {name}", own, axis[-1], exact, 2.0 * spent / 100))
     axes = np.random.default_rng(1).normal(size=(count, 3))
     exact = follow(axes[0] / np.linalg.norm(axes[0]), amplitude, FREQUENCY, END, 1e-13)
     spent, axis = moved(gradient, axes, 1)
@@ -143,8 +154,7 @@ def followed(amplitude, count, repeats):
         lambda: Sampled(signal, END, 1e-9, END / 50.0).cover(END, 0.0), 3, time.thread_time
     )
     rows.append({"what": "sampling, callable", "ms": 1e3 * spent, "bar_ms": None, "error": None})
-    body.axes(flow, [END], axes)
-    spent, axis = timed(lambda: body.axes(flow, [END], axes), 3, time.thread_time)
+    spent, axis = turned(flow, axes, 3)
     rows.append(row(f"{count} axes, callable", spent, axis[0, -1], exact, 2e-3))
     # Bodies that move along series of their own, together.
     _, amplitudes, samples = paths(64)

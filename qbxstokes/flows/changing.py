@@ -102,6 +102,12 @@ class ChangingFlow(SumFlow):
         return found
 
     @property
+    def gradient_terms(self) -> tuple[Array, Array]:
+        """Gradients (units, 3, 3) that the numbers multiply, and what stays, of a linear flow."""
+        count = len(self.units)
+        return self._ranks[1][:count], self._ranks[1][count:].sum(axis=0)
+
+    @property
     def surely_stokesian(self) -> bool:
         """Whether it is a gradient alone, of which the trace is looked at."""
         return all(part.gradient for part in self.signal.parts) and self.degree == 1
