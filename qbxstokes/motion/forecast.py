@@ -15,7 +15,7 @@ FLOOR = 2e-15
 _FLOORS = {"bdf": 2e-14}
 EXPLICIT_TYPES = ("rk",)
 # Error of a step over the share of the tolerance that falls to it: (factor share)^power.
-_LOCAL = {"bdf": (0.5, 7.0 / 6.0), "arkimex": (0.4, 1.0)}
+_LOCAL = {"bdf": (0.5, 7.0 / 6.0), "arkimex": (0.1, 1.0)}
 # The error at the end is held to this many times the tolerance, at how many times the cost.
 WITHIN = 20.0
 AFFORDED = 30.0
