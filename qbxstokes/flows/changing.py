@@ -312,7 +312,11 @@ def _series_of(key: str, given: Mapping[str, Any], trajectory: Any) -> Series:
         else:
             numbers = read_table(Path(str(given["file"]))).numbers
             found = Series(numbers[:, 0], numbers[:, 1:], **rules)
+    except FlowError as error:
+        inner = tuple(part for part in error.key if part != "gradient")
+        raise FlowError(str(error), (key, *inner)) from None
     except (TableError, KeyError, TypeError, ValueError) as error:
         right = "{file: ...} of t and numbers, or {times: [...], values: [...]}"
-        raise FlowError(f"{key}: {error}; {right} is expected", (key,)) from None
+        wrong = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+        raise FlowError(f"{key}: {wrong}; {right} is expected", (key,)) from None
     return found

@@ -66,7 +66,7 @@ class Series:
             raise FlowError("times of a series must be two or more finite, increasing instants")
         if a.ndim < 2 or a.shape[-2] != len(t):
             right = f"{self._shapes(len(t))} is expected"
-            raise FlowError(f"{self.name} have shape {a.shape}; {right}", ("gradient",))
+            raise FlowError(f"{self.name} have shape {np.shape(values)}; {right}", ("gradient",))
         if interpolation == "sextic" and len(t) < 6:
             raise FlowError(
                 f"{len(t)} samples are too few for six points; interpolation: linear", ("gradient",)

@@ -67,6 +67,8 @@ def whole(value: object, name: str, least: int, key: Key | None = None) -> int:
 def tensor(value: Any, name: str, shape: tuple[int, ...], key: Key | None = None) -> Array:
     """A finite float array of the given shape, or FlowError at `key` (the name if not given)."""
     right = f"must hold {' x '.join(map(str, shape))} finite numbers"
+    if not shape:
+        right = "must be a finite number"
     at = (name,) if key is None else key
     try:
         result = np.array(value, dtype=float)

@@ -118,8 +118,9 @@ def flow_text(loaded: LoadedCase) -> str:
     assert loaded.case.flow is not None
     given = loaded.case.flow.spec()
     name = given.pop("type")
-    said = {key: value for key, value in REGISTRY[name].keys().items() if value is not None}
-    said = {k: value for k, value in said.items() if value is not inspect.Parameter.empty} | given
+    unsaid = (None, True, False, inspect.Parameter.empty)
+    said = {k: v for k, v in REGISTRY[name].keys().items() if not any(v is u for u in unsaid)}
+    said |= given
     texts = ((key, _text(value)) for key, value in said.items())
     parts = [f"{key} {text if len(text) <= 48 else text[:45] + '...'}" for key, text in texts]
     degree = loaded.flow.degree
