@@ -109,15 +109,29 @@ def _put(t: float, p: Any, flow: Any) -> None:
                     flow[target, lane] = value
 
 
+@numba.njit(forceinline=True)
+def opened(state: Any, rate: Any, places: Any) -> int:
+    """Open the numbers of a state and of its rate: their addresses in places (2,); PETSc's error.
+
+    The state's are read alone.
+    """
+    failed = get_state(state, places.ctypes)
+    return failed if failed else get_rate(rate, places[1:].ctypes)
+
+
+@numba.njit(forceinline=True)
+def closed(state: Any, rate: Any, places: Any) -> int:
+    """Give back what `opened` opened; PETSc's error."""
+    failed = restore_rate(rate, places[1:].ctypes)
+    return failed if failed else restore_state(state, places.ctypes)
+
+
 def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     """TSRHSFunction of a block; `constants` as `NativeRate` lays them out."""
     n = int(constants[_COLUMNS])
     constants[_CALLS] += 1.0
     places = np.empty(2, np.intp)
-    failed = get_state(state, places.ctypes)
-    if failed:
-        return failed
-    failed = get_rate(rate, places[1:].ctypes)
+    failed = opened(state, rate, places)
     if failed:
         return failed
     after_flow = _PARTS + (_FLOW * n if _FLOWS else _FLOW)
@@ -137,10 +151,7 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     rates = c[after_loads:after_rates].reshape(4, n) if _INERTIAL else None
     follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
     _loop(y, out, flow, body, loads, rates, follow, still)
-    failed = restore_rate(rate, places[1:].ctypes)
-    if failed:
-        return failed
-    return restore_state(state, places.ctypes)
+    return closed(state, rate, places)
 
 
 @cache

@@ -16,13 +16,11 @@ from qbxstokes.bie.compiled_motion import CompiledMotion, rates_of
 from qbxstokes.motion.layout import Layout
 from qbxstokes.petsc.native import (
     SIGNATURE,
-    get_rate,
-    get_state,
+    closed,
     give,
     library,
+    opened,
     pointer,
-    restore_rate,
-    restore_state,
 )
 
 # Places in the constants: calls, bodies, numbers of a state, whether some rate was no number; the
@@ -38,10 +36,7 @@ def _compiled(point: Any) -> Any:
     def rate(_: Any, t: float, state: Any, out: Any, constants: Any) -> int:
         constants[_CALLS] += 1.0
         places = np.empty(2, np.intp)
-        failed = get_state(state, places.ctypes)
-        if failed:
-            return failed
-        failed = get_rate(out, places[1:].ctypes)
+        failed = opened(state, out, places)
         if failed:
             return failed
         n, nodes = int(constants[_COLUMNS]), int(constants[_POINTS])
@@ -53,10 +48,7 @@ def _compiled(point: Any) -> Any:
         if not rates_of(point, now, y, points, weights, body, size > 7, slope):
             constants[_ASTRAY] = 1.0
             slope[:] = 0.0  # whatever comes of it is taken back
-        failed = restore_rate(out, places[1:].ctypes)
-        if failed:
-            return failed
-        return restore_state(state, places.ctypes)
+        return closed(state, out, places)
 
     return numba.cfunc(SIGNATURE, error_model="numpy")(rate)
 

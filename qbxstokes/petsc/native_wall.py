@@ -24,13 +24,11 @@ from qbxstokes.motion.over_wall import rate
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.petsc.native import (
     SIGNATURE,
-    get_rate,
-    get_state,
+    closed,
     give,
     library,
+    opened,
     pointer,
-    restore_rate,
-    restore_state,
 )
 
 Array = NDArray[np.float64]
@@ -60,10 +58,7 @@ def _rate(_: Any, t: float, state: Any, out: Any, constants: Any) -> int:
     """TSRHSFunction; `constants` as `NativeOverWall` lays them out."""
     constants[_CALLS] += 1.0
     places = np.empty(2, np.intp)
-    failed = get_state(state, places.ctypes)
-    if failed:
-        return failed
-    failed = get_rate(out, places[1:].ctypes)
+    failed = opened(state, out, places)
     if failed:
         return failed
     c = carray(constants, (_END,))
@@ -76,10 +71,7 @@ def _rate(_: Any, t: float, state: Any, out: Any, constants: Any) -> int:
     asked = 0
     if where != -1:
         asked = _ask(int(c[_PYTHON]), t, places[0], places[1])
-    failed = restore_rate(out, places[1:].ctypes)
-    if failed:
-        return failed
-    failed = restore_state(state, places.ctypes)
+    failed = closed(state, out, places)
     return failed if failed else asked
 
 

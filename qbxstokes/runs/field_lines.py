@@ -124,8 +124,6 @@ def _carried(
     tolerance_of_bodies: float,
 ) -> tuple[dict[str, Array], Array]:
     """Paths in space of tracers and of what carries them: moving(t, y) is dy/dt and the flow."""
-    from scipy.integrate import solve_ivp
-
     n = initial.size
     good = ~moving(0.0, initial)[1].inside(starts)
 
@@ -134,13 +132,33 @@ def _carried(
         carried = around.carrying(flat[n:].reshape(-1, 3))
         return np.concatenate([slope.ravel(), carried.ravel()])
 
-    allowed = np.full(n + 3 * int(good.sum()), tolerance)
-    allowed[:n] = tolerance_of_bodies
+    y = _followed(rate, initial, starts[good], times, tolerance_of_bodies, tolerance)
+    points = np.full((len(times), len(starts), 3), np.nan)
+    points[:, good] = y[n:].T.reshape(len(times), -1, 3)
+    return {"time": times, "points": points}, y[:n].T.reshape(len(times), *initial.shape)
+
+
+def _followed(
+    rate: Callable[[float, Array], Array],
+    bodies: Array,
+    tracers: Array,
+    times: Array,
+    tolerance_of_bodies: float,
+    tolerance: float,
+) -> Array:
+    """Numbers (n, T) of bodies and of the tracers with them, as `rate` moves both from time 0 on.
+
+    Raises ConvergenceError.
+    """
+    from scipy.integrate import solve_ivp
+
+    allowed = np.full(bodies.size + tracers.size, tolerance)
+    allowed[: bodies.size] = tolerance_of_bodies
     allowed = np.maximum(allowed, 1e-13)
     found = solve_ivp(
         rate,
         (0.0, times[-1]),
-        np.concatenate([initial.ravel(), starts[good].ravel()]),
+        np.concatenate([bodies.ravel(), tracers.ravel()]),
         method="DOP853",
         t_eval=times,
         rtol=allowed,
@@ -148,9 +166,7 @@ def _carried(
     )
     if not found.success:
         raise ConvergenceError(f"the paths of the tracers stopped: {found.message}")
-    points = np.full((len(times), len(starts), 3), np.nan)
-    points[:, good] = found.y[n:].T.reshape(len(times), -1, 3)
-    return {"time": times, "points": points}, found.y[:n].T.reshape(len(times), *initial.shape)
+    return np.asarray(found.y)
 
 
 def moving_tracers(
@@ -165,8 +181,6 @@ def moving_tracers(
 
     equations: of the motion; initial: its state (1, n_state).
     """
-    from scipy.integrate import solve_ivp
-
     from qbxstokes.bie.lines import (
         N_STATE,
         MovingFlow,
@@ -204,24 +218,12 @@ def moving_tracers(
     # The body moves as accurately as in the motion itself, so that a tracer near its surface is
     # outside there, too.
     sensitivity = equations.sensitivity(0.0, body[None], float(times[-1]))
-    tolerance = np.full(n_body + N_STATE * int(good.sum()), asked.tolerance)
-    tolerance[:n_body] = min(asked.tolerance, tolerance_of_motion) / sensitivity
-    tolerance = np.maximum(tolerance, 1e-13)
-    found = solve_ivp(
-        rate,
-        (0.0, times[-1]),
-        np.concatenate([body, states[good].ravel()]),
-        method="DOP853",
-        t_eval=times,
-        rtol=tolerance,
-        atol=tolerance,
-    )
-    if not found.success:
-        raise ConvergenceError(f"the paths of the tracers stopped: {found.message}")
+    allowed = min(asked.tolerance, tolerance_of_motion) / sensitivity
+    y = _followed(rate, body, states[good], times, allowed, asked.tolerance)
     points = np.full((len(times), len(states), 3), np.nan)
-    carried = np.moveaxis(found.y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
-    quaternions = rotation.normalize(found.y[3:7].T)
+    carried = np.moveaxis(y[n_body:].reshape(-1, N_STATE, len(times)), 2, 0)
+    quaternions = rotation.normalize(y[3:7].T)
     relative = np.einsum("tij,tnj->tni", rotation.matrix(quaternions), to_points(carried, axes))
-    points[:, good] = relative + found.y[:3].T[:, None]
-    position = found.y[:3].T.copy()
+    points[:, good] = relative + y[:3].T[:, None]
+    position = y[:3].T.copy()
     return {"time": times, "points": points, "position": position, "orientation": quaternions}
