@@ -135,6 +135,8 @@ def field_of_motion(
     facts = work.write(writer)
     if section.tracers is not None:
         start, end = assembled.initial, float(times[-1])
+        if loaded.case.coupled:  # the other ranks no longer join in its solves
+            assembled.scene.suspension.comm = assembled.scene.herald = None
         with job.clock.part("tracers"):
             follow = tracers_among if loaded.case.coupled else moving_tracers
             paths = follow(work.solution, section, assembled.equations, start, end, time.tolerance)
