@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import multiprocessing
 import os
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +15,7 @@ import pytest
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
 from qbxstokes.io import store
+from qbxstokes.io.lock import locked
 from qbxstokes.io.store import DamagedPart, Work, holds_work, open_work, read_part, write_part
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.shared_rows import ALONE
@@ -89,7 +92,7 @@ def _race(target: Path, barrier: Any, queue: Any) -> None:
         barrier.wait()
         work.close(remove=True)
     except CaseError as error:
-        queue.put("another run is writing here" in str(error))
+        queue.put("another run is writing here (process " in str(error))
         barrier.wait()
 
 
@@ -106,6 +109,17 @@ def test_of_two_programs_started_at_once_one_runs(tmp_path: Path) -> None:
         for process in both:
             process.join(30)
         assert sorted(map(str, told)) == ["True", "runs"]
+
+
+def test_who_took_the_lock_a_moment_ago_is_named(tmp_path: Path) -> None:
+    """Between taking the lock and writing its name into it, another program may look."""
+    with open(tmp_path / "lock", "w") as owned:
+        fcntl.flock(owned, fcntl.LOCK_EX)
+        named = threading.Timer(0.05, lambda: (owned.write("process 7"), owned.flush()))
+        named.start()
+        with pytest.raises(CaseError, match=r"another run is writing here \(process 7\)"):
+            locked(tmp_path)
+        named.join()
 
 
 def test_resuming_compares_what_numbers_depend_on(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ promise nothing there. To resume means to do what no part holds.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import shutil
@@ -29,11 +28,12 @@ import numpy as np
 
 from qbxstokes.errors import CaseError, OutputError
 from qbxstokes.io.format import first_difference
+from qbxstokes.io.lock import LOCK, locked
 from qbxstokes.io.names import numbered, parts_of
 from qbxstokes.io.results import shows_parts
 from qbxstokes.typing import AnyArray
 
-LOCK, RUN = "lock", "run.json"
+RUN = "run.json"
 _NOTE, _SUFFIX = "note", ".h5"
 _FORMAT = 2  # of what parts and states hold
 # Names of results, with numbers, that are looked through for a run to go on with.
@@ -218,7 +218,7 @@ class Work:
 
     def hold(self) -> Work:
         """Take the lock; raises CaseError where another run has it."""
-        self._lock = _locked(self.folder)
+        self._lock = locked(self.folder)
         return self
 
     def note_run(self, finished: bool = False) -> None:
@@ -251,40 +251,6 @@ def unwritable(place: Path, error: OSError) -> OutputError:
         f"{place}: cannot be written ({error.strerror or error}). What was finished is kept: make "
         "room and run again with --resume"
     )
-
-
-def _locked(folder: Path) -> int:
-    """A descriptor that holds the folder's lock, the folder being made where it is not there."""
-    while True:
-        try:
-            folder.mkdir(exist_ok=True)
-            descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-        except FileNotFoundError:  # its owner has just removed it
-            continue
-        except OSError as error:
-            raise OutputError(
-                f"{folder}: cannot be made ({error.strerror or error}); choose another output.file"
-            ) from None
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            who = os.read(descriptor, 200).decode(errors="replace").strip()
-            os.close(descriptor)
-            raise CaseError(
-                f"{folder}: another run is writing here{f' ({who})' if who else ''}; wait for it, "
-                "or choose another output.file"
-            ) from None
-        except OSError:  # a file system without locks: two runs at once cannot be told apart
-            pass
-        try:
-            if os.stat(folder / LOCK).st_ino == os.fstat(descriptor).st_ino:
-                break
-        except FileNotFoundError:
-            pass
-        os.close(descriptor)  # the folder was removed, and perhaps made anew, in between
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, f"process {os.getpid()} on {os.uname().nodename}\n".encode())
-    return descriptor
 
 
 def _run_in(folder: Path) -> dict[str, Any] | None:
