@@ -212,11 +212,7 @@ def _text(point: Array) -> str:
 
 
 def check_singularities(
-    flow: Flow,
-    centre: ArrayLike,
-    axis: ArrayLike,
-    shape: Outline,
-    minimum: float = 0.0,
+    flow: Flow, centre: ArrayLike, axis: ArrayLike, shape: Outline, minimum: float = 0.0
 ) -> float:
     """Least distance of the flow's singular points from the body; infinite if there are none.
 

@@ -149,10 +149,7 @@ class Contacts:
         return np.asarray(_BENT * (way + self._arm * turn))
 
     def _crossings(
-        self,
-        step: Step,
-        begin: tuple[float, Array, Array],
-        end: tuple[float, Array, Array],
+        self, step: Step, begin: tuple[float, Array, Array], end: tuple[float, Array, Array]
     ) -> list[Contact]:
         """Lanes whose gap vanishes between two instants of the step."""
         (t0, _, before), (t1, last, after) = begin, end

@@ -273,14 +273,7 @@ def massless(y: Any, flow: Any, law: Any, mobility: Any, loads: Any) -> Any:
 
 
 def inertial(
-    y: Any,
-    flow: Any,
-    law: Any,
-    mobility: Any,
-    loads: Any,
-    rates: Any,
-    gyration: float,
-    follow: Any,
+    y: Any, flow: Any, law: Any, mobility: Any, loads: Any, rates: Any, gyration: float, follow: Any
 ) -> Any:
     """dy/dt of a body with inertia, y = (x, q, V, W): see `accelerations`.
 

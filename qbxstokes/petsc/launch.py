@@ -25,11 +25,7 @@ _LAUNCHERS = (
 # Starts of names that Open MPI gives to what it keeps in the environment.
 _OPEN_MPI = ("OMPI_", "ORTE_", "PMIX_", "PRTE_")
 # No daemon; nothing but messages of a process to itself.
-_ALONE = {
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_btl": "self",
-    "OMPI_MCA_pml": "ob1",
-}
+_ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_btl": "self", "OMPI_MCA_pml": "ob1"}
 _AMONG_OTHERS = {"OMPI_MCA_mpi_yield_when_idle": "1"}
 
 

@@ -14,14 +14,7 @@ from numba import carray
 
 from qbxstokes.bie.compiled_motion import CompiledMotion, rates_of
 from qbxstokes.motion.layout import Layout
-from qbxstokes.petsc.native import (
-    SIGNATURE,
-    closed,
-    give,
-    library,
-    opened,
-    pointer,
-)
+from qbxstokes.petsc.native import SIGNATURE, closed, give, library, opened, pointer
 
 # Places in the constants: calls, bodies, numbers of a state, whether some rate was no number; the
 # instant up to which the flow is asked, points of the grid, the addresses of these and of their

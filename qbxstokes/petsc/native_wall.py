@@ -22,14 +22,7 @@ from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion.over_wall import rate
 from qbxstokes.motion.wall_constants import WallConstants
-from qbxstokes.petsc.native import (
-    SIGNATURE,
-    closed,
-    give,
-    library,
-    opened,
-    pointer,
-)
+from qbxstokes.petsc.native import SIGNATURE, closed, give, library, opened, pointer
 
 Array = NDArray[np.float64]
 

@@ -17,14 +17,7 @@ from qbxstokes.errors import CaseError
 from qbxstokes.flows.user import LIBRARIES
 from qbxstokes.io.format import first_difference
 from qbxstokes.io.names import check_writable, numbered, parts_of, told_by
-from qbxstokes.io.store import (
-    NUMBERED,
-    Work,
-    free_name,
-    holds_work,
-    open_work,
-    remove_remains,
-)
+from qbxstokes.io.store import NUMBERED, Work, free_name, holds_work, open_work, remove_remains
 from qbxstokes.runs.parallel import on_root
 
 if TYPE_CHECKING:

@@ -27,12 +27,7 @@ def stokes_number(
     >>> float(qs.stokes_number(2.5, 1e-4, 1e-6, 0.05))  # 0.2 mm of polystyrene or so, in water
     0.5
     """
-    given = {
-        "density_ratio": density_ratio,
-        "length": length,
-        "viscosity": viscosity,
-        "time": time,
-    }
+    given = {"density_ratio": density_ratio, "length": length, "viscosity": viscosity, "time": time}
     rho, c, nu, tau = (np.asarray(value, dtype=np.float64) for value in given.values())
     for name, value in zip(given, (rho, c, nu, tau), strict=True):
         if not np.all((value > 0.0) & np.isfinite(value)):

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from qbxstokes.bie.multiple_scattering import (
-    LEAST_NODES,
-    Placed,
-    Plane,
-    closest,
-    gaps_of,
-    names_of,
-)
+from qbxstokes.bie.multiple_scattering import LEAST_NODES, Placed, Plane, closest, gaps_of, names_of
 from qbxstokes.bie.resolution import flow_nodes
 from qbxstokes.errors import ContactError, FlowError, SceneError
 from qbxstokes.flows import Flow

@@ -254,12 +254,7 @@ class Former:
     """From an accurate body to the provider that a scene needs in its flow."""
 
     def __init__(
-        self,
-        shape: Revolution,
-        section: Hydrodynamics,
-        flow: Flow,
-        need: Need,
-        workshop: Workshop,
+        self, shape: Revolution, section: Hydrodynamics, flow: Flow, need: Need, workshop: Workshop
     ) -> None:
         self._shape, self._section, self._flow = shape, section, flow
         self._need, self._workshop = need, workshop

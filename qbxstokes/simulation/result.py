@@ -56,11 +56,7 @@ class Motion:
 
     @classmethod
     def of(
-        cls,
-        assembled: Assembled,
-        trajectory: Any,
-        watch: Any,
-        run: LaneRun | None = None,
+        cls, assembled: Assembled, trajectory: Any, watch: Any, run: LaneRun | None = None
     ) -> Motion:
         """From the states of an integration; run: of several lanes."""
         times, states = trajectory.times, trajectory.states

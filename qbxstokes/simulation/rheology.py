@@ -18,12 +18,7 @@ from qbxstokes.simulation.showing import shown
 from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
-from qbxstokes.suspension.fokker_planck import (
-    Evolution,
-    Transport,
-    converged,
-    isotropic,
-)
+from qbxstokes.suspension.fokker_planck import Evolution, Transport, converged, isotropic
 from qbxstokes.suspension.history import PROTOCOLS, History, Protocol
 from qbxstokes.suspension.orbits import Starts
 from qbxstokes.suspension.particle import LinearFlow, Particle

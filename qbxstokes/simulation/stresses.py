@@ -120,11 +120,7 @@ class FreeStress:
 class SceneStress:
     """Stresslets of the lanes of assembled scenes, with what their torques add."""
 
-    def __init__(
-        self,
-        parts: Sequence[tuple[FreeStress, slice]],
-        linear: Array,
-    ) -> None:
+    def __init__(self, parts: Sequence[tuple[FreeStress, slice]], linear: Array) -> None:
         """parts: of each scene with its lanes. linear: lambda of each lane (n,)."""
         self._parts, self._linear = parts, linear
         self.thermal: Array | None = None

@@ -215,12 +215,7 @@ class OverWall:
             found = scene.freed(problem, np.zeros((1, 6)), _mode(part, factor).velocity, None)
             columns.append(np.concatenate([found.velocity[0], found.angular_velocity[0]]))
         m, flows = np.stack(columns[:6], 1), np.stack(columns[6:], 1)
-        blocks = (
-            m[np.ix_(_EVEN, _EVEN)],
-            m[np.ix_(_ODD, _ODD)],
-            flows[_EVEN, :4],
-            flows[_ODD, 4:],
-        )
+        blocks = (m[np.ix_(_EVEN, _EVEN)], m[np.ix_(_ODD, _ODD)], flows[_EVEN, :4], flows[_ODD, 4:])
         return np.concatenate([block.ravel() for block in blocks])
 
 
