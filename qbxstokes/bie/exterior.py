@@ -12,10 +12,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.operators import SurfaceOperators
 from qbxstokes.errors import FlowError
@@ -24,7 +23,7 @@ from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import WHAT, ExteriorFlow, SurfaceToExterior
 from qbxstokes.qbx.modes import ModalOperator, from_modes, to_modes
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
-from qbxstokes.typing import Array
+from qbxstokes.typing import AnyArray, Array
 
 Velocity = Callable[[Array], Array]
 Method = Literal["auto", "table", "quadrature"]
@@ -76,7 +75,7 @@ class ExteriorField:
         what: Collection[str] = ("velocity",),
         tolerance: float | None = None,
         method: Method = "auto",
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         """Some of WHAT at points (N, 3), each in the way its tolerance asks for.
 
         velocity (N, 3), gradient (N, 3, 3) of d u_i/d x_j, pressure (N,), pressure_gradient (N, 3),

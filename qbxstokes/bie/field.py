@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import (
     INSIDE,
@@ -25,7 +24,7 @@ from qbxstokes.bie.exterior import (
 )
 from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
 from qbxstokes.geometry.symmetric import components, symmetric, turned
-from qbxstokes.typing import Array
+from qbxstokes.typing import AnyArray, Array
 
 # What `FlowAround.evaluate` gives if nothing else is asked for.
 USUAL = ("velocity", "disturbance_velocity", "pressure", "stress")
@@ -125,7 +124,7 @@ class FlowAround:
         what: Collection[str] = USUAL,
         tolerance: float = 1e-8,
         method: Method = "auto",
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         """Fields at points (N, 3) of space: "disturbance_velocity" and any of WHAT, of the whole.
 
         Arrays, tolerance, method and source as in `ExteriorField.evaluate`, in the space frame.
@@ -135,7 +134,7 @@ class FlowAround:
 
     def _block(
         self, x: Array, what: Collection[str], tolerance: float, method: Method
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         own = {name.removeprefix("disturbance_") for name in what}
         found = self.disturbance.evaluate(self.to_body(x), own, tolerance, method)
         turn, flow, t = self.rotation, self.flow, self.time
@@ -186,8 +185,8 @@ class FlowAround:
 
 
 def in_blocks(
-    points: Array, size: int, evaluate: Callable[[Array], dict[str, NDArray[Any]]]
-) -> dict[str, NDArray[Any]]:
+    points: Array, size: int, evaluate: Callable[[Array], dict[str, AnyArray]]
+) -> dict[str, AnyArray]:
     """What `evaluate` makes of points (N, 3), `size` of them at a time."""
     blocks = range(0, max(len(points), 1), size)
     parts = [evaluate(points[begin : begin + size]) for begin in blocks]
@@ -197,7 +196,7 @@ def in_blocks(
 
 
 def on_surface(
-    evaluate: Callable[[Array, Collection[str]], dict[str, NDArray[Any]]],
+    evaluate: Callable[[Array, Collection[str]], dict[str, AnyArray]],
     points: Array,
     normals: Array,
     outside: Array,

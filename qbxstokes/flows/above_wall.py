@@ -13,7 +13,8 @@ from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.differences import gradient_of, laplacian_of
 from qbxstokes.flows.domain import Domain, Plane
 from qbxstokes.flows.transformed import Transformable
-from qbxstokes.flows.values import Array, check_keys
+from qbxstokes.flows.values import check_keys
+from qbxstokes.typing import Array
 
 _UP = np.array([0.0, 1.0, 0.0])
 _MIRROR = np.array([1.0, -1.0, 1.0])

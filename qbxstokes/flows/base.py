@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.differences import around, gradient_of
 from qbxstokes.flows.domain import Domain
-from qbxstokes.flows.values import Array, check_keys
+from qbxstokes.flows.values import check_keys
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.flows.polynomial import PolynomialFlow

@@ -22,8 +22,9 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.series import GradientSeries, series_of_file
 from qbxstokes.flows.signals import Part, Signal
 from qbxstokes.flows.user import load_function
-from qbxstokes.flows.values import Array, Key, check_keys, instants, number
+from qbxstokes.flows.values import Key, check_keys, instants, number
 from qbxstokes.tables import TableError, read_table
+from qbxstokes.typing import Array
 
 _IN_TIME = ["trajectory", "longest_step", "breaks"]
 _SERIES = {"file", "process", "times"}

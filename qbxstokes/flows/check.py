@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Flow, curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of
-from qbxstokes.flows.values import Array
+from qbxstokes.typing import Array
 
 # Least velocity gradient that residuals are compared with, in |u|/radius: the derivatives of a
 # user's function are differences and carry the rounding of the velocity.

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from qbxstokes.flows.values import Array
+from qbxstokes.typing import Array
 
 LEVELS = 8
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.flows.values import Array
+from qbxstokes.typing import Array
 
 # Newton's method doubles the digits from a first guess that has one in the worst case.
 _NEWTON = 12

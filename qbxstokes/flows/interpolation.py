@@ -7,17 +7,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, FlowFunctionError
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, Integers
 
 INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each one takes
 OUTSIDE = "error", "clamp", "repeat"
 
 
-def power_weights(times: Array, interpolation: str) -> tuple[NDArray[np.int64], Array]:
+def power_weights(times: Array, interpolation: str) -> tuple[Integers, Array]:
     """First sample of each interval's window (m,), and weights (m, degree + 1, samples).
 
     Of m + 1 instants; the interpolant in interval i is sum_k s^k (weights[i, k] @ window), s from 0
@@ -184,5 +183,5 @@ class Series:
         return origins, 1.0 / np.diff(self.times)[places], coefficients
 
     @cached_property
-    def _weights(self) -> tuple[NDArray[np.int64], Array]:
+    def _weights(self) -> tuple[Integers, Array]:
         return power_weights(self.times, self.interpolation)

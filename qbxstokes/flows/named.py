@@ -16,7 +16,8 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.domain import channel, tube
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.values import Array, check_keys, number, settled, tensor, traceless
+from qbxstokes.flows.values import check_keys, number, settled, tensor, traceless
+from qbxstokes.typing import Array
 
 _EXTENSIONS = {
     "uniaxial": (1.0, -0.5, -0.5),

@@ -9,13 +9,12 @@ from math import factorial
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow, curl
 from qbxstokes.flows.domain import Domain, moved
 from qbxstokes.flows.values import (
-    Array,
     Exponents,
     check_keys,
     number,
@@ -25,6 +24,7 @@ from qbxstokes.flows.values import (
     tensor,
 )
 from qbxstokes.flows.values import traceless as solenoidal
+from qbxstokes.typing import Array, Booleans
 
 _TENSOR_KEYS = ("value", "gradient", "hessian", "third")
 # Traces and antisymmetric parts below this, relative to the tensor, are rounding.
@@ -271,10 +271,10 @@ class PolynomialFlow(Flow):
         """Velocity gradient (..., 3, 3)."""
         return self.derivatives(x)[1]
 
-    def odd_about(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def odd_about(self, x: ArrayLike) -> Booleans:
         """Whether u(x + r) = -u(x - r) for all r, exactly, shape (...)."""
         u, _, hessian, _ = self.derivatives(x)
-        still: NDArray[np.bool_] = ~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1)))
+        still: Booleans = ~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1)))
         return still
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:

@@ -11,11 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 WAVES = 24  # of each component
 

@@ -22,7 +22,7 @@ from qbxstokes.flows.base import Flow
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.signals import Part, Signal
-from qbxstokes.flows.values import Array
+from qbxstokes.typing import Array
 
 # Derivative indices of the second and third degree, symmetric ones once, as the kernels take them.
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

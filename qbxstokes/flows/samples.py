@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from qbxstokes.typing import Integers
 
 
 class View:
@@ -16,9 +17,7 @@ class View:
 
     ndim = 3
 
-    def __init__(
-        self, whole: Any, numbers: NDArray[np.int64] | None, instants: tuple[int, int]
-    ) -> None:
+    def __init__(self, whole: Any, numbers: Integers | None, instants: tuple[int, int]) -> None:
         self._whole, self._numbers, self._first = whole, numbers, instants[0]
         count = whole.shape[0] if numbers is None else len(numbers)
         self.shape = (count, instants[1] - instants[0], whole.shape[2])
@@ -76,7 +75,7 @@ class InRows:
 
     ndim = 3
 
-    def __init__(self, data: Any, starts: NDArray[np.int64], count: int, factor: float = 1.0):
+    def __init__(self, data: Any, starts: Integers, count: int, factor: float = 1.0):
         self._data, self._starts, self._factor = data, starts, factor
         self.shape = len(starts), count, 9 if data.ndim == 3 else data.shape[1]
         self.dtype = data.dtype

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.samples import InFile, InRows, View
 from qbxstokes.flows.user import resolve_paths
-from qbxstokes.flows.values import SINGLE, Array, check_keys, number, whole
+from qbxstokes.flows.values import SINGLE, check_keys, number, whole
 from qbxstokes.tables import HDF5, TableError, check_file, read_table
+from qbxstokes.typing import Array, Integers
 
 TRACES = "project", "error"
 
@@ -77,7 +78,7 @@ class GradientSeries(Series):
             raise FlowError(f"trajectory {number} of {len(self)}", ("trajectory",))
         return self._with(self.times, self._rows[number, slice(None)])
 
-    def chosen(self, numbers: NDArray[np.int64]) -> GradientSeries:
+    def chosen(self, numbers: Integers) -> GradientSeries:
         """Some of the paths, by their numbers, in their order."""
         if np.array_equal(numbers, np.arange(len(self))):
             return self

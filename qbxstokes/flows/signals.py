@@ -20,7 +20,8 @@ from numpy.polynomial import chebyshev
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
 from qbxstokes.flows.interpolation import Series
-from qbxstokes.flows.values import DOUBLE, SINGLE, Array, Key, settled, tensor, traceless
+from qbxstokes.flows.values import DOUBLE, SINGLE, Key, settled, tensor, traceless
+from qbxstokes.typing import Array
 
 _NODES = 10
 _ROOTS = np.sort(chebyshev.chebpts1(_NODES))

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.flows.base import Flow
-from qbxstokes.flows.values import Array, number, settled, tensor, traceless
+from qbxstokes.flows.values import number, settled, tensor, traceless
+from qbxstokes.typing import Array
 
 _FOUR_PI = 4.0 * np.pi
 _EIGHT_PI = 8.0 * np.pi

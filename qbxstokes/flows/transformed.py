@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.domain import Domain, moved
-from qbxstokes.flows.values import Array, check_keys, number, tensor
+from qbxstokes.flows.values import check_keys, number, tensor
+from qbxstokes.typing import Array
 
 
 class TransformedFlow(Flow):

@@ -24,7 +24,8 @@ from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.base import curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
 from qbxstokes.flows.transformed import Transformable
-from qbxstokes.flows.values import Array, instants, number, tensor
+from qbxstokes.flows.values import instants, number, tensor
+from qbxstokes.typing import Array
 
 # Nodes of the path integral of the pressure gradient: exact to rounding for fields that are
 # smooth on the straight way from the origin.

@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError, SinglePrecisionWarning, nearest
 from qbxstokes.expressions import LARGEST
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Key = tuple[str | int, ...]
 Exponents = tuple[int, int, int]
 

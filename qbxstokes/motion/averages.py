@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.motion.diagnostics import orbit_constant
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, Indices
 
 # More than this between two samples, and the turns cannot be counted.
 _LARGEST_TURN = 0.75 * np.pi
@@ -99,7 +97,7 @@ def turn_averages(
     half_turns = np.floor(np.abs(turned) / np.pi + 1e-9)
     some = half_turns >= 1
 
-    def moment(count: Array) -> tuple[NDArray[np.intp], Array]:
+    def moment(count: Array) -> tuple[Indices, Array]:
         """Interval and fraction of it at which `count` half-turns are complete."""
         goal = angle[0] + np.sign(turned) * np.pi * count
         beyond = np.abs(angle - angle[0]) >= np.abs(goal - angle[0]) * (1.0 - 1e-14)
@@ -160,7 +158,7 @@ def turn_averages(
     return result
 
 
-def _hermite(t: Array, values: Array, rates: Array, interval: NDArray[np.intp], s: Array) -> Array:
+def _hermite(t: Array, values: Array, rates: Array, interval: Indices, s: Array) -> Array:
     """Cubic through values and rates at both ends of one interval per body; s in [0, 1]."""
     bodies = np.arange(values.shape[1])
     h = t[interval + 1] - t[interval]

@@ -6,16 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from qbxstokes.motion.kernels import KERNELS
 from qbxstokes.motion.lanes import PerLane
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
-
-Array = NDArray[np.float64]
 
 
 class Bodies:

@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, SPIN, Layout
 from qbxstokes.motion.loops import BlockConstants
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Function = Callable[[float, Array, Array], None]
 
 _TURNING = np.r_[ORIENTATION, SPIN]

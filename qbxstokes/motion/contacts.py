@@ -11,15 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.flows.domain import Edge
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.motion.roots import root
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # The path of the surface is taken to be at most so much longer than its chord.
 _BENT = 2.0

@@ -26,7 +26,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.motion import taylor
 from qbxstokes.motion.kernels import STEP
@@ -35,10 +34,10 @@ from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
 from qbxstokes.motion.pieces import Inertia, Pieces
 from qbxstokes.motion.tracing import specialise
+from qbxstokes.typing import Array
 
 __all__ = ["Constraints", "Inertia", "Loads", "RigidBodyEquations"]
 
-Array = NDArray[np.float64]
 
 # From this size of the block, or this number of right-hand sides of single bodies in a process or
 # of fewer lanes than that, the compiled kernels repay their import (0.4 s, and some seconds of

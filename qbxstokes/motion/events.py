@@ -15,7 +15,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
@@ -25,8 +24,8 @@ from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.frames import symmetry_axis
 from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY, Step
 from qbxstokes.motion.roots import root
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Row = Sequence[float]
 Function = Callable[[float, Row], float]
 

@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.signals import Sampled, Signal
 from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.taylor import pack_flow
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, Integers
 
 
 class FlowRows:
@@ -29,7 +27,7 @@ class FlowRows:
     """
 
     def __init__(self, flows: PerLane[Any], table: Array) -> None:
-        self.group: NDArray[np.int64] | None = None
+        self.group: Integers | None = None
         if not flows.shared:
             self.group = np.full(table.shape[1], -1)
         self._flows: list[ChangingFlow] = []

@@ -9,9 +9,9 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array, Indices
+
 T = TypeVar("T")
 
 
@@ -23,7 +23,7 @@ class PerLane(Generic[T]):
     """
 
     def __init__(self, given: T | Sequence[T], n_lanes: int, key: Callable[[T], Hashable]) -> None:
-        self._lanes: NDArray[np.intp] | None = None
+        self._lanes: Indices | None = None
         if not isinstance(given, list | tuple):
             self.distinct: tuple[T, ...] = (given,)  # type: ignore[assignment]
             return

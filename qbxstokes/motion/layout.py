@@ -14,10 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Parts of a state.
 POSITION = slice(0, 3)

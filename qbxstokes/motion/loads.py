@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.geometry import rotation
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Vectors = ArrayLike | Callable[[float], ArrayLike]
 
 

@@ -18,15 +18,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 # Those of one class of laws stand for all: compiled.py puts in those of the class at hand.
 from qbxstokes.motion.fore_aft import N_NUMBERS, inertial, massless, unpack_body
 from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_INERTIAL, ORIENTATION, SPIN
 from qbxstokes.motion.taylor import N_FLOW, six, unpack_flow
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 TILE = 64
 # Where the parts of a state begin.

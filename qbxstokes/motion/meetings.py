@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.events import EventLog
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.motion.roots import root
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # The paths of the surfaces are taken to be at most so much longer than their chords.
 _BENT = 2.0

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components
@@ -19,8 +18,7 @@ from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.stress import StressSource, inertial_stresses
 from qbxstokes.quantities import RECORDABLE
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # States are turned into quantities in pieces of about this many, which stay in the cache.
 _PIECE = 4096

@@ -11,10 +11,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from qbxstokes.typing import Array, Integers
 
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
 

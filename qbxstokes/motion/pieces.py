@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.changing import ChangingFlow
@@ -35,11 +35,11 @@ from qbxstokes.motion.layout import (
 )
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
 from qbxstokes.motion.taylor import pack_flow, unpack_flow
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
 
-Array = NDArray[np.float64]
 # Parts of a run after which a flow that changes is looked at beforehand.
 _SHARES = 0.04 * np.arange(25)
 Evaluation = Literal["auto", "plain", "compiled"]

@@ -6,19 +6,18 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.frames import quaternion_rate_space
 from qbxstokes.motion.kernels import KERNELS
 from qbxstokes.motion.taylor import ROWS, pack_second
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
     from qbxstokes.flows.base import Flow
     from qbxstokes.motion.lanes import FreeMotion
 
-Array = NDArray[np.float64]
 
 # Calls from one look at what is neglected to the next.
 _EVERY = 50

@@ -11,15 +11,14 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import PAIRS, components
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, SPIN
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 _UNIT: Array = np.eye(3)
 
 

@@ -10,18 +10,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.recognition import PAIRS, TRIPLES
+from qbxstokes.typing import Array
 
 # float, complex or a NumPy row of either; numba infers its own types.
 Scalar = Any
 Vector = tuple[Scalar, Scalar, Scalar]
 Matrix = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 Twist = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-Array = NDArray[np.float64]
 
 # Numbers of a flow, and how many of them the kernels of a degree read.
 N_FLOW = 64

@@ -14,12 +14,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.motion.layout import Step
 from qbxstokes.petsc.system import System
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Formulas whose own interpolant is as good as the steps (measured, tests/test_stepper.py).
 INTERPOLANT_SUFFICES = ("5dp", "bdf")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from qbxstokes.errors import ConvergenceError
@@ -14,8 +13,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.petsc.session import LIVE, temporary_options
 from qbxstokes.petsc.shell import PreconditionerContext, shell_matrix
 from qbxstokes.qbx.modes import ModalOperator
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # The true residual may exceed the tolerance by this factor before the solve counts as failed.
 RESIDUAL_MARGIN = 10.0

@@ -19,15 +19,13 @@ import numba
 import numpy as np
 from numba import carray, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion.compiled import compiled_loops
 from qbxstokes.motion.layout import Layout
 from qbxstokes.motion.loops import BlockConstants
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _NUMBER = types.CPointer(types.float64)
 # PetscErrorCode (TS, PetscReal, Vec, Vec, void *)

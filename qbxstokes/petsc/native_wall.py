@@ -16,15 +16,13 @@ import numpy as np
 from llvmlite import ir
 from numba import carray, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion.over_wall import rate
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.petsc.native import SIGNATURE, closed, give, library, opened, pointer
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _STATE = 7
 # Places in the constants: calls, the address of the Python function, k, size, the first cell, then

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from qbxstokes.errors import ContactError, FlowError
@@ -23,8 +22,7 @@ from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
 from qbxstokes.motion.layout import POSITION, SPIN, VELOCITY
 from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.trajectory import Checkpoint
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 RK_FORMULAS = ("5dp", "8vr")
 # Right-hand sides of single bodies in this process so far, as they were forecast.

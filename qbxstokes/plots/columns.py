@@ -22,7 +22,6 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
@@ -30,9 +29,7 @@ from qbxstokes.plots.scales import SCALES, colours_of, edges, is_log, power, set
 from qbxstokes.plots.style import Axes, Figure
 from qbxstokes.quantities import column
 from qbxstokes.quantity import Quantity
-
-Array = NDArray[Any]
-Rows = NDArray[np.intp]
+from qbxstokes.typing import AnyArray, Array, Indices
 
 CURVES = 7  # more curves than this are told apart by lightness and a colour bar
 _PANELS = 6
@@ -50,12 +47,12 @@ class Columns:
     """
 
     name: str
-    values: Mapping[str, Array]
+    values: Mapping[str, AnyArray]
     units: Mapping[str, str] = field(default_factory=dict)
-    joined: Callable[[Rows], bool] = lambda _: True
+    joined: Callable[[Indices], bool] = lambda _: True
 
     @property
-    def everything(self) -> Rows:
+    def everything(self) -> Indices:
         """All rows."""
         return np.arange(len(next(iter(self.values.values()))))
 
@@ -63,7 +60,7 @@ class Columns:
         """Whether a column holds words."""
         return self[name].dtype.kind == "U"
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
+    def numbers(self, name: str) -> Array:
         """A column of numbers. Raises CaseError for another."""
         if self.words(name):
             raise CaseError(f"{self.name}: column {name} holds texts, not numbers")
@@ -74,7 +71,7 @@ class Columns:
         known = column(name)
         return replace(known, units=self.units.get(name) or known.units)
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> AnyArray:
         """A column by its name. Raises CaseError, which names those that are near."""
         if name in self.values:
             return self.values[name]
@@ -93,7 +90,7 @@ class Columns:
 class _Group:
     """Rows with the same values in the columns that part them."""
 
-    rows: Rows
+    rows: Indices
     label: str
     value: float  # of the first of these columns; nan for a word
 
@@ -186,7 +183,7 @@ def _draw_curves(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
         style.legend_above(axes, columns=max(1, min(4, 44 // (longest + 8))))
 
 
-def _widen(axes: Axes, values: Array) -> None:
+def _widen(axes: Axes, values: AnyArray) -> None:
     """Show what is constant but for an error as constant: a hundredth of it is the least height."""
     finite = values[np.isfinite(values)]
     size = float(np.abs(finite).max(initial=0.0))
@@ -220,7 +217,7 @@ def _draw_bars(axes: Axes, columns: Columns, spec: Mapping[str, Any]) -> None:
         style.legend_above(axes, columns=min(4, len(bars)))
 
 
-def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Rows) -> None:
+def _draw_map(axes: Axes, columns: Columns, spec: Mapping[str, Any], rows: Indices) -> None:
     """The column `value` over x and y as coloured cells with contour lines.
 
     All panels share their colours. Cells without a value are hatched.
@@ -341,8 +338,8 @@ def _shared(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _pivot(
-    columns: Columns, x: str, y: str, values: Array, rows: Rows
-) -> tuple[Array, Array, Array]:
+    columns: Columns, x: str, y: str, values: AnyArray, rows: Indices
+) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Sorted coordinates and the values over them (len(y), len(x)), nan where there is none.
 
     Raises CaseError where two rows share a cell.

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
-from qbxstokes.typing import Array
+from qbxstokes.typing import AnyArray, Array
 
 TURN_LIMIT = 1.0  # radians between samples, beyond which a picture need not resemble the motion
 
@@ -22,7 +21,7 @@ class ResultLike(Protocol):
 
     path: Path
     task: str
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: Mapping[str, AnyArray]
     attributes: dict[str, dict[str, Any]]
     summary: dict[str, Any]
     provenance: dict[str, Any]

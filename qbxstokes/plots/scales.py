@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.plots import style
 from qbxstokes.plots.style import Axes
-
-Array = NDArray[Any]
+from qbxstokes.typing import AnyArray
 
 SCALES = {
     "loglog": ("log", "log"),
@@ -23,7 +21,7 @@ SCALES = {
 _SPREAD = 50.0  # positive values over more than this factor are drawn on a logarithmic axis
 
 
-def is_log(values: Array) -> bool:
+def is_log(values: AnyArray) -> bool:
     """Whether values are best seen on a logarithmic axis: none negative, over a wide range."""
     finite = values[np.isfinite(values)]
     positive = finite[finite > 0.0]
@@ -31,7 +29,7 @@ def is_log(values: Array) -> bool:
     return wide and 2 * positive.size > finite.size and not np.any(finite < 0.0)
 
 
-def set_scales(axes: Axes, spec: Mapping[str, Any], x: Array, y: Array) -> None:
+def set_scales(axes: Axes, spec: Mapping[str, Any], x: AnyArray, y: AnyArray) -> None:
     """Scales of both axes: those of the description, or what suits the values."""
     chosen = ["log" if is_log(values) else "linear" for values in (x, y)]
     scale_x, scale_y = SCALES[spec["scale"]] if "scale" in spec else chosen
@@ -39,7 +37,7 @@ def set_scales(axes: Axes, spec: Mapping[str, Any], x: Array, y: Array) -> None:
     axes.set_yscale(scale_y)
 
 
-def edges(places: Array, scale: str) -> Array:
+def edges(places: AnyArray, scale: str) -> AnyArray:
     """Borders of cells around their centres, halfway on the scale of the axis."""
     at = np.log(places) if scale == "log" else places
     if len(at) == 1:
@@ -68,7 +66,7 @@ def shades(values: Sequence[float]) -> Any:
     return ScalarMappable(colours_of(np.array(values))[0], ListedColormap(colours))
 
 
-def colours_of(values: Array) -> tuple[Any, bool]:
+def colours_of(values: AnyArray) -> tuple[Any, bool]:
     """How values become colours, and whether by their logarithm."""
     from matplotlib.colors import LogNorm, Normalize
 

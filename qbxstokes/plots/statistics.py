@@ -10,9 +10,10 @@ import numpy as np
 
 from qbxstokes.errors import CaseError
 from qbxstokes.plots import style
-from qbxstokes.plots.columns import Array, Columns, groups_of, label_of
+from qbxstokes.plots.columns import Columns, groups_of, label_of
 from qbxstokes.plots.scales import is_log
 from qbxstokes.plots.style import Axes, Figure
+from qbxstokes.typing import AnyArray
 
 # Which number stands for many, how far its band reaches, and what the picture says of both.
 _AVERAGES = {"mean": "mean and standard deviation", "median": "median, 10 to 90 %"}
@@ -35,7 +36,7 @@ def averaged(columns: Columns, spec: Mapping[str, Any]) -> tuple[Columns, dict[s
         groups_of(columns, apart), key=lambda group: columns[spec["x"]][group.rows[0]].item()
     )
     first = np.array([group.rows[0] for group in groups])
-    found: dict[str, Array] = {name: columns[name][first] for name in apart}
+    found: dict[str, AnyArray] = {name: columns[name][first] for name in apart}
     for name in names:
         values = columns.numbers(name)
         rows = [_spread(values[group.rows], average) for group in groups]
@@ -54,7 +55,7 @@ def _list(given: Any) -> list[str]:
     return [given] if isinstance(given, str) else list(given or ())
 
 
-def _spread(values: Array, average: str) -> tuple[float, float, float]:
+def _spread(values: AnyArray, average: str) -> tuple[float, float, float]:
     """An average of what is finite, and the ends of its band."""
     values = values[np.isfinite(values)]
     if not values.size:
@@ -111,7 +112,7 @@ def _draw_histogram(axes: Axes, columns: Columns, name: str, groups: Sequence[An
     style.set_ylabel(axes, f"share of {finite.size} values" if len(groups) == 1 else "share")
 
 
-def _edges(values: Array, groups: int) -> Array:
+def _edges(values: AnyArray, groups: int) -> AnyArray:
     """Ends of bins of values, at most 60; as if they were so many times fewer as there are groups.
 
     Values that differ by rounding alone are one bin.

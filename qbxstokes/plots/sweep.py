@@ -16,11 +16,12 @@ import numpy as np
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.plots.columns import CURVES, Columns, Rows, figure_of
+from qbxstokes.plots.columns import CURVES, Columns, figure_of
 from qbxstokes.plots.picture_source import ResultLike, resolved_case
 from qbxstokes.plots.sphere import distribution_figure
 from qbxstokes.plots.statistics import averaged, histogram_figure
 from qbxstokes.plots.style import Drawings, Figure
+from qbxstokes.typing import Indices
 
 # Summaries that are drawn unasked, where they are numbers that are not all zero.
 SHOWN = (
@@ -109,7 +110,7 @@ def columns_of(sweep: SweepLike) -> Columns:
         raise CaseError(f"{sweep.path}: no trajectory of this sweep succeeded")
     numbers = [axis.axis for axis in swept_axes(sweep) if axis.number is not None]
 
-    def joined(rows: Rows) -> bool:
+    def joined(rows: Indices) -> bool:
         """Whether rows follow one another along one axis of numbers."""
         places = np.array(np.unravel_index(whole[rows], sweep.shape))
         varying = np.flatnonzero(np.any(places != places[:, :1], axis=1))

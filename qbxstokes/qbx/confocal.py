@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.geometry.symmetric import PLACES
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.typing import Array, ComplexArray, Indices
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ class Harmonics:
 
 
 @lru_cache(maxsize=256)
-def _triangle(orders: int, degree: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _triangle(orders: int, degree: int) -> tuple[Indices, Indices]:
     m, n = np.meshgrid(np.arange(orders), np.arange(degree + 1), indexing="ij")
     return m[n >= m], n[n >= m]
 
@@ -180,8 +179,8 @@ class Table:
 
     points: Array
     values: Array
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    rows: Indices
+    columns: Indices
 
     def _flat(self, c: ComplexArray) -> Array:
         """Real and imaginary parts (4, 2 K), interleaved."""

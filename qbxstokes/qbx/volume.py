@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.symmetric import components, symmetric
@@ -25,7 +24,7 @@ from qbxstokes.qbx.kernel import density_parts, interpolation
 from qbxstokes.qbx.modes import to_modes
 from qbxstokes.qbx.operator import GradedScheme
 from qbxstokes.qbx.panels import Rule, uniform_rule
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.typing import Array, ComplexArray, Integers
 
 METHODS = ("plain", "graded", "expansion")
 # Nodes of the graded rules a target costs at least; plain quadrature is taken below as many.
@@ -52,7 +51,7 @@ class LayerPotentials:
 
     def evaluate(
         self, points: Array, tolerance: float = 1e-10, method: str | None = None
-    ) -> tuple[dict[str, Array], NDArray[np.int64]]:
+    ) -> tuple[dict[str, Array], Integers]:
         """All of `exterior.WHAT` at points (N, 3), and the index into METHODS used (N,).
 
         NaN and -1 inside the body. method: use this one for all targets instead of choosing.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def numbers(name: str, values: ArrayLike, right: str) -> Array:

@@ -8,7 +8,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.geometry.spheroid import Spheroid
@@ -24,13 +24,12 @@ from qbxstokes.simulation.flow_watch import FlowWatch, require_stokesian
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
+from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:
     from qbxstokes.bie.functional import BodyModel
     from qbxstokes.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _PERIODIC = "period", "period_change", "orbit_drift"
 # What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.

@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import ChangingFlow, Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.simulation import arguments as given
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 
 # Pieces of a run at least.
 _PIECES = 50

@@ -16,8 +16,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
@@ -26,11 +25,10 @@ from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.formed_body import FormedBody
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
+from qbxstokes.typing import AnyArray, Array
 
 if TYPE_CHECKING:
     pass
-
-Array = NDArray[np.float64]
 
 
 def flow(type: str, **keys: Any) -> Flow:
@@ -212,7 +210,7 @@ class Body(FormedBody):
         tolerance: float = 1e-8,
         t: float = 0.0,
         what: Collection[str] = ("velocity", "disturbance_velocity", "pressure", "stress"),
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         """The flow at points (N, 3) around the body, from its surface to infinity.
 
         velocity, angular_velocity (3,) of the body; None: it moves freely. what: also gradient

@@ -11,20 +11,19 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.random_turns import MOST_VARIANCE, philox, variance
 from qbxstokes.suspension.langevin import kicks, turned
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.lanes import LaneRun
     from qbxstokes.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 # A step where nobody says, by the flow's gradient and by the diffusivity.
 _BY_FLOW, _BY_DIFFUSION = 0.05, 0.025
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.functional import BodyModel, Resistance
 from qbxstokes.flows import Flow
@@ -15,11 +14,11 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.reference import faxen, inertial, jeffery
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
 
-Array = NDArray[np.float64]
 
 # Orbit constants from here on are infinite but for rounding: the axis is in the plane of shear.
 _TUMBLING = 1e8

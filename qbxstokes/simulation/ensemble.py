@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.statistics import RATES, STRAINS, Statistics
@@ -31,12 +31,12 @@ from qbxstokes.simulation.ensemble_means import (
 )
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import particle_of
+from qbxstokes.typing import AnyArray, Array, Integers
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
-Sums = dict[str, NDArray[Any]]
+Sums = dict[str, AnyArray]
 
 # Paths of a block, and instants of a tile of time.
 BLOCK, TILE = 256, 1024
@@ -105,13 +105,13 @@ class Ensemble:
         return -(-self.paths // BLOCK)
 
     @cached_property
-    def looks(self) -> NDArray[np.int64]:
+    def looks(self) -> Integers:
         """Samples at which something is looked at."""
         last = len(self.series.times) - 1
         return np.arange(int(np.ceil(self.settings.discard * last)), last, self.settings.every)
 
     @cached_property
-    def lags(self) -> NDArray[np.int64]:
+    def lags(self) -> Integers:
         """Lags of the correlation, in looks: 0, and up to half of them in equal proportion."""
         longest = len(self.looks) // 2
         if not self.settings.correlation or longest < 1:

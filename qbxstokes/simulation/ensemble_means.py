@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.simulation.showing import shown
+from qbxstokes.typing import Array, Integers
 
-Array = NDArray[np.float64]
 # Tensors that the statistics of stresses tell, in the order of their columns.
 STRESSES = "particle_stress", "hydrodynamic_stress", "brownian_stress", "order_tensor"
 
@@ -38,7 +37,7 @@ class Found:
     over_strain: Array
     over_strain_error: Array
     edges: Array
-    counts: NDArray[np.int64]
+    counts: Integers
     time: Array
     mean_in_time: Array
     spread_in_time: Array

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.geometry import rotation
@@ -14,11 +13,11 @@ from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import Event, Events, Passage, leaving, steady, turning_point
 from qbxstokes.quantity import Quantity
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 
 _CLEARANCE = 0.05
 

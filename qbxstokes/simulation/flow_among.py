@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.exterior import INSIDE, TABLE
 from qbxstokes.bie.field import USUAL, in_blocks, on_surface, sizes
@@ -19,12 +18,12 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.qbx.exterior import SURFACE_MARGIN, ExteriorFlow
 from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.grid_choice import MOST_NODES
+from qbxstokes.typing import AnyArray, Array, Booleans
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
     from qbxstokes.simulation.solved_instant import Solution
 
-Array = NDArray[np.float64]
 
 # Points per block, and per block of differences: what is in memory at once.
 _BLOCK, _FEW = 8192, 96
@@ -49,7 +48,7 @@ class FlowAmong:
         self.solution, self.flow, self.time, self._shaped = solution, flow, time, shaped
         self.problem = solution.problem
 
-    def inside(self, points: Array) -> NDArray[np.bool_]:
+    def inside(self, points: Array) -> Booleans:
         """Whether points (N, 3) are in a body or behind the wall."""
         found = np.zeros(len(points), dtype=bool)
         for body in self.problem.bodies:
@@ -81,7 +80,7 @@ class FlowAmong:
         what: Collection[str] = USUAL,
         tolerance: float = 0.0,
         method: str = "auto",
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         """Fields at points (N, 3): "disturbance_velocity" and any of WHAT, of the whole flow.
 
         Arrays as in `bie.field.FlowAround.evaluate`; NaN with source INSIDE in bodies and behind
@@ -91,9 +90,7 @@ class FlowAmong:
         tolerance = 0.1 * tolerance * self.scale if tolerance else 0.0
         return in_blocks(points, _BLOCK, lambda some: self._block(some, what, tolerance))
 
-    def _block(
-        self, points: Array, what: Collection[str], tolerance: float
-    ) -> dict[str, NDArray[Any]]:
+    def _block(self, points: Array, what: Collection[str], tolerance: float) -> dict[str, AnyArray]:
         inside, flow, t = self.inside(points), self.flow, self.time
         x = points[~inside]
         steep = bool({"gradient", "stress"} & set(what))
@@ -116,7 +113,7 @@ class FlowAmong:
             slope = found["gradient"]
             found["stress"] = components(slope + slope.swapaxes(1, 2))
             found["stress"][:, :3] -= found["pressure"][:, None]
-        whole: dict[str, NDArray[Any]] = {"source": np.where(inside, INSIDE, TABLE)}
+        whole: dict[str, AnyArray] = {"source": np.where(inside, INSIDE, TABLE)}
         for name in what:
             whole[name] = np.full((len(points), *found[name].shape[1:]), np.nan)
             whole[name][~inside] = found[name]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.accuracy import RowFormer, choose_scheme
 from qbxstokes.bie.exterior import ExteriorField, layer_limit, resolving_grid
@@ -29,11 +29,10 @@ from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
 from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of, solver_factory
 from qbxstokes.simulation.simulation import places
+from qbxstokes.typing import AnyArray, Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.formed_body import FormedBody
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def field_around(
     what: Collection[str],
     tolerance: float,
     t: float,
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, AnyArray]:
     """`Body.field`: place is (position, orientation), motion (velocity, angular velocity)."""
     wrong = [name for name in what if name not in (*WHAT, "disturbance_velocity")]
     if wrong:

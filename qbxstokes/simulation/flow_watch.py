@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from qbxstokes.errors import FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian, seems_stokesian
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.petsc.trajectory import Watch
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 
 # Accepted steps between looks at whether a flow is Stokesian, and how many of these in a run.
 _STEPS_BETWEEN_CHECKS, _MOST_LOOKS = 10, 50.0

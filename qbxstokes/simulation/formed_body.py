@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.accuracy import AccurateBody
 from qbxstokes.bie.functional import BodyModel
@@ -33,13 +33,12 @@ from qbxstokes.simulation.hydrodynamics import (
     solver_tolerance,
 )
 from qbxstokes.simulation.simulation import ORIGIN
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.bie.exterior import ExteriorField
     from qbxstokes.bie.law import BodyLaw
     from qbxstokes.bie.stresslet import Stresslet
-
-Array = NDArray[np.float64]
 
 
 class FormedBody:

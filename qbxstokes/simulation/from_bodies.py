@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.case.load import LoadedCase, case_of, load_case
 from qbxstokes.case.scene import WITH_FLOW
@@ -25,8 +24,7 @@ from qbxstokes.simulation.from_case import (
 from qbxstokes.simulation.repulsion import Repulsion
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.wall import Wall
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:

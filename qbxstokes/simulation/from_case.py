@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase, from_document
@@ -24,8 +24,7 @@ from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.time_vectors import timed
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import AnyArray, Array
 
 # Instants stored where a case does not say how many: least and most, and the axis' turn between.
 _SAMPLES, _TURN = (201, 20_001), 0.3  # radians
@@ -41,7 +40,7 @@ class Starts:
     quaternion: Array
     velocity: Array | None
     angular_velocity: Array | None
-    numbers: NDArray[Any] | None = None  # as trajectories of a sweep
+    numbers: AnyArray | None = None  # as trajectories of a sweep
 
 
 @contextmanager

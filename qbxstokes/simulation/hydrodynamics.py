@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import AccurateBody, RowFormer, accurate_body, choose_scheme
 from qbxstokes.bie.functional import BodyModel
@@ -28,8 +27,7 @@ from qbxstokes.qbx.operator import (
     layer_rows,
     rigid_defects,
 )
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import AnyArray, Array
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
@@ -41,7 +39,7 @@ _FLOW_SHARE = 0.1
 
 
 # What is wrong with arrays that were kept, in words; '' where nothing is.
-Fault = Callable[[Mapping[str, NDArray[Any]]], str]
+Fault = Callable[[Mapping[str, AnyArray]], str]
 
 
 class Store(Protocol):
@@ -57,10 +55,10 @@ class Store(Protocol):
 
     def load(
         self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
-    ) -> dict[str, NDArray[Any]] | None:
+    ) -> dict[str, AnyArray] | None:
         """What was stored under the key, if anything was in which there is no fault."""
 
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
         """Keep arrays under a key."""
 
 
@@ -74,11 +72,11 @@ class Nowhere:
 
     def load(
         self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
-    ) -> dict[str, NDArray[Any]] | None:
+    ) -> dict[str, AnyArray] | None:
         """Nothing."""
         return None
 
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
         """Nothing is kept."""
 
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.suspension.orbits import Starts
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 
 # Samples of a turn, doubled from the first to the last; axes that turn less than this are steady.
 _FIRST, _LAST, _STILL = 512, 8192, 1e-9

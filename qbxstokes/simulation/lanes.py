@@ -7,18 +7,15 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.layout import Step
 from qbxstokes.simulation.event_watch import lane_contacts
+from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:
     from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory
     from qbxstokes.simulation.assembly import Assembled
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 @dataclass

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
@@ -23,11 +23,11 @@ from qbxstokes.simulation.showing import shown
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History, Protocol
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
 # A step where nobody says: by the flow, and as a share of the longest one by diffusion.

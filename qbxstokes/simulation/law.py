@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.stresslet import Stresslet
 from qbxstokes.geometry import rotation
@@ -17,8 +16,7 @@ from qbxstokes.simulation.closed_forms import true_error
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Nodes of the reference's mean over the surface, and how many times the flow's own.
 _REFERENCE_NODES, _FINER = 40, 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
@@ -15,11 +15,11 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.simulation.stresses import SceneStress
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 Pair = tuple[ArrayLike | None, ArrayLike | None]
 NOTHING: Pair = (None, None)
 

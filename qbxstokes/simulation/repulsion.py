@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.multiple_scattering import Placed, Plane, gaps_of
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.gaps import contact_point
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _LEFT_OUT = 40.0  # ranges beyond which nothing is left but rounding
 

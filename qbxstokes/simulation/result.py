@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
@@ -18,12 +17,12 @@ from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
 from qbxstokes.simulation.event_watch import ending, events_summary, split_columns
 from qbxstokes.simulation.showing import shown
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.lanes import LaneRun
 
-Array = NDArray[np.float64]
 # What a summary tells of a flow.
 _FLOW = ("neglected", "recognised", "coarsest_nodes", "finest_nodes")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
@@ -22,11 +22,11 @@ from qbxstokes.suspension.fokker_planck import Evolution, Transport, converged, 
 from qbxstokes.suspension.history import PROTOCOLS, History, Protocol
 from qbxstokes.suspension.orbits import Starts
 from qbxstokes.suspension.particle import LinearFlow, Particle
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 
 # Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.
 SAMPLES, _STRAIN = 201, 20.0

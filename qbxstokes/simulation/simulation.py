@@ -27,14 +27,13 @@ from qbxstokes.simulation.arguments import numbers, require, require_flow, secti
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
+from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
 
-Array = NDArray[np.float64]
 _COUPLED = "qbxstokes.simulation.coupled"
 ORIGIN, UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-Indices = NDArray[np.intp]
 
 
 class Simulation:

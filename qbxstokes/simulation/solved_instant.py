@@ -8,11 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.multiple_scattering import Coupled
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 
 @dataclass

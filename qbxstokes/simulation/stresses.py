@@ -8,7 +8,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.stresslet import N_PHI, GridStress, Stresslet, accurate_stresslet
@@ -27,12 +26,12 @@ from qbxstokes.simulation.hydrodynamics import (
     solver_factory,
     solver_tolerance,
 )
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.formed_body import FormedBody
 
-Array = NDArray[np.float64]
 
 # Share of the tolerance that the grid of a flow that is not polynomial may take.
 _FLOW_SHARE = 0.1

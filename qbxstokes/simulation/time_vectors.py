@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import CaseError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.tables import read_table
+from qbxstokes.typing import Array
 
-Array = NDArray[np.float64]
 Timed = ArrayLike | Callable[[float], ArrayLike]
 
 

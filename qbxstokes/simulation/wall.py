@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.multiple_scattering import Plane
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
-
-Array = NDArray[np.float64]
 
 
 class Wall:

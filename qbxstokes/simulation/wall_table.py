@@ -19,7 +19,6 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows import Flow
@@ -28,8 +27,7 @@ from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.suspension import Suspension
 from qbxstokes.simulation.wall import Wall
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 # Even and odd under reflection in the plane of axis and normal: velocities and loads alike.
 _EVEN, _ODD = (0, 2, 4), (1, 3, 5)

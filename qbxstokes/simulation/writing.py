@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.case.document import plain
 from qbxstokes.case.scene import FREE
@@ -14,12 +14,12 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
     from qbxstokes.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 
 _BOUND = {"translation": "velocity", "rotation": "angular_velocity"}
 
