@@ -103,6 +103,9 @@ def test_a_field_of_a_case_holds_every_surface_and_draws_bodies_and_wall(tmp_pat
     assert np.allclose(other["velocity"][~inside], plane["velocity"][0][~inside], atol=1e-3)
     for kind, draw in kinds(found).items():
         assert draw().axes, kind
+    front = kinds(found)["traction"]().axes[0]
+    corners = np.concatenate([path.vertices for path in front.collections[0].get_paths()])
+    assert np.allclose((corners.min(axis=0) + corners.max(axis=0))[0] / 2.0, 1.0, atol=0.1)
 
 
 def test_a_motion_stores_surfaces_for_paraview_and_is_animated(

@@ -15,9 +15,12 @@ import yaml
 
 import qbxstokes as qs
 from qbxstokes.bie.multiple_scattering import gaps_of
+from qbxstokes.case.load import case_of
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.plots.motion import drawings
+from qbxstokes.runs.plan import plan_coupled
+from qbxstokes.runs.plan_report import plan_text
 
 WALL = {"type": "wall", "normal": [0, 0, 1]}
 PAIR: dict[str, Any] = {
@@ -140,6 +143,14 @@ def test_a_motion_has_the_bodies_behind_the_time_and_is_that_of_python() -> None
     suspension = qs.Suspension([qs.Body(1.0), qs.Body(1.0, size=0.5)], qs.Wall([0, 0, 1]))
     u, _ = suspension.free_motion(None, x, force=force)
     assert np.allclose(found.velocity[0], u, atol=1e-3)
+
+
+def test_loads_of_bodies_and_the_time_are_told() -> None:
+    loaded = case_of(FALL)
+    told = plan_text(loaded, plan_coupled(loaded), Path("fall.h5"), None)
+    assert "loads                 body 1: force (0, 0, -9)\n" in told
+    assert "body 2: force (0, 0, -3*cos(t))\n" in told
+    assert "time                  0 to 1.5, 4 samples\n" in told
 
 
 def test_a_fall_ends_at_the_clearance_of_the_case() -> None:

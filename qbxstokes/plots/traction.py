@@ -30,6 +30,8 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     view = np.cross(first, second)
     surfaces, members = surfaces_of(field), members_of(result, step)
     middle = np.mean([one.position for one in members], axis=0)
+    # Coordinates are as the plane names them: in space, or about the bodies.
+    seen_at = middle if "plane" in field and field["plane"]["frame"] == "space" else 0.0 * middle
     points, traction, normals, quads = (
         np.concatenate(parts)
         for parts in zip(*(_facets(surface, step) for surface in surfaces), strict=True)
@@ -43,8 +45,9 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     if "plane" in field:
         names = [name_of(field["plane"], name) for name in ("first", "second")]
     figure = style.new_figure(style.PAGE, 0.46 * style.PAGE)
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    panels = figure.subplots(1, 2, sharey=True)
     reach = 1.3 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
+    points = points + seen_at
     longest = float(size.max()) or 1.0
     # On a slender or flat body nearly all of it would have one colour.
     peaked = np.median(size) < _PEAKED * longest
@@ -79,12 +82,16 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
             scale=5.0 * longest / reach,
             width=0.007,
         )
-        axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
+        across, up = side * (seen_at @ first), seen_at @ second
+        axes.set(
+            aspect="equal", xlim=(across - reach, across + reach), ylim=(up - reach, up + reach)
+        )
         axes.set_title(name, loc="left", pad=4)
-        across = names[0]
+        name = names[0]
         if side < 0:
-            across = f"$-({across[1:-1]})$" if across.startswith("$") else f"minus {across}"
-        axes.set_xlabel(style.label(across, "c"))
+            plain = name[1:-1] if " " not in name else f"({name[1:-1]})"
+            name = f"$-{plain}$" if name.startswith("$") else f"minus {name}"
+        axes.set_xlabel(style.label(name, "c"))
     panels[0].set_ylabel(style.label(names[1], "c"))
     style.letter_panels(list(panels))
     colours = figure.colorbar(mesh, ax=list(panels), fraction=0.05, pad=0.02)

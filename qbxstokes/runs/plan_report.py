@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
@@ -34,25 +35,24 @@ def scene(loaded: LoadedCase, plan: Plan) -> Rows:
         if case.coupled:
             text += "" if body.size == 1.0 else f", size {quantity(body.size)}"
             text += f", at ({vector(body.start.position)})"
-        elif case.task == "motion":
+        if case.task == "motion":
             stokes = body.stokes_number
             text += ", massless" if stokes == 0 else f", St = {quantity(stokes)}"
-        elif case.field is not None:
+        elif case.field is not None and not case.coupled:
             text += f", {case.field.body}"
         yield "body", text
     if len(case.members) > MANY:
         yield "", f"and {len(case.members) - MANY} more"
     yield from around(loaded)
-    if case.coupled:
-        return
     if case.units is not None:
         yield "units", case.units.scales.told
-    if isinstance(plan, MotionPlan):
+    if case.coupled or isinstance(plan, MotionPlan):
         yield from _driven(case)
+    if isinstance(plan, MotionPlan):
         yield "time", _span(plan)
     elif case.rheology is not None:
         yield "suspension", f"dilute, {case.rheology.protocol} flow"
-    elif case.task == "body" and case.flow is not None:
+    elif case.task == "body" and case.flow is not None and not case.coupled:
         place, turn = plan.simulation.position[0], plan.simulation.quaternion[0]
         yield "place", f"({vector(place)}), quaternion ({vector(turn)})"
 
@@ -82,17 +82,12 @@ def _span(plan: MotionPlan) -> str:
 
 def _driven(case: Case) -> Rows:
     """Loads and constraints, where there are any."""
-    loads = []
-    for name in ("force", "torque", "body_force", "body_torque"):
-        value = getattr(case.forces, name)
-        if value is not None:
-            loads.append(f"{name.replace('_', ' ')} {_vector(value)}")
-    gravity = case.forces.gravity
-    if gravity is not None:
-        net = gravity.net(case.body.stokes_number)
-        loads.append(f"net weight {quantity(net)} x volume along {_vector(gravity.direction)}")
-    if loads:
-        yield "loads", "; ".join(loads)
+    loads = [_loads(case, body) for body in case.members]
+    if len(set(loads)) == 1:
+        yield from ((("loads", loads[0]),) if loads[0] else ())
+    else:
+        for number, text in enumerate(loads[:MANY], 1):
+            yield "loads" if number == 1 else "", f"body {number}: {text or 'none'}"
     held = [
         f"{name} {value if value == LOCKED else 'prescribed: ' + _vector(value)}"
         for name in ("translation", "rotation")
@@ -100,6 +95,20 @@ def _driven(case: Case) -> Rows:
     ]
     if held:
         yield "constraints", "; ".join(held)
+
+
+def _loads(case: Case, body: BodyEntry) -> str:
+    """What acts on a body: its own loads, or those of the scene."""
+    forces = body.forces or case.forces
+    loads = [
+        f"{name.replace('_', ' ')} {_vector(value)}"
+        for name in ("force", "torque", "body_force", "body_torque")
+        if (value := getattr(forces, name)) is not None
+    ]
+    if forces.gravity is not None:
+        net = quantity(forces.gravity.net(body.stokes_number))
+        loads.append(f"net weight {net} x volume along {_vector(forces.gravity.direction)}")
+    return "; ".join(loads)
 
 
 def _vector(value: Any) -> str:
