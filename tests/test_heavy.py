@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import script
 
 from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
-from qbxstokes.reference import heavy
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
 from qbxstokes.simulation.closed_forms import exact_model
 
 Array = Any
+heavy = script("studies/heavy")
 
 
 def paraboloid() -> Any:

@@ -12,6 +12,7 @@ Expected: for a rolling body T is St inertia/R to 1e-7; 226 of the 270 fits coun
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table
 from motions import LOOSE, TIGHT, axes, body, groups, labelled, paraboloid
@@ -19,7 +20,6 @@ from scipy.optimize import minimize_scalar
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy
 
 DISTANCE = 8.0
 MISFIT = 0.01

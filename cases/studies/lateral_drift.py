@@ -13,13 +13,13 @@ Expected: every run within 0.15 % of the periodic solution at its mean local she
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table, power
 from motions import averages, body, cross, groups, labelled, orbit, paraboloid, shown
 from scipy.optimize import minimize_scalar
 
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy
 
 HALF_TURNS = 4
 FAR = 16.0  # distance from the axis at which the curvature is weak

@@ -14,6 +14,7 @@ Expected: K c^2 f(k, St rate) with the shear rate where the body is, within 0.08
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table, power
 from lateral_drift import FAR, HALF_TURNS, run
@@ -21,7 +22,7 @@ from motions import averages, body, doubling, labelled, orbit, paraboloid, shown
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy, inertial, lamb
+from qbxstokes.reference import inertial, lamb
 
 RUNS = ((0.5, 10.0), (0.5, 100.0), (2.0, 1.0), (2.0, 10.0))
 PROFILES = [(k, profile) for k in (0.5, 2.0) for profile in ("paraboloid", "plane")]

@@ -9,13 +9,13 @@ Expected: differences of parts (c/distance)^2, below 0.15 % from 8 lengths on; w
 """
 
 import common
+import heavy
 import numpy as np
 from common import Table, power
 from motions import averages, body, doubling, orbit, paraboloid, shown
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy
 
 HALF_TURNS = 4
 RUNS = ((0.5, 10.0, 50.0), (2.0, 1.0, 1e6))  # k, St, and an orbit constant near tumbling

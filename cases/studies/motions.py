@@ -4,12 +4,13 @@ import math
 from functools import lru_cache
 from typing import Any
 
+import heavy
 import numpy as np
 from common import markdown
 
 import qbxstokes as qs
 from qbxstokes.geometry import rotation
-from qbxstokes.reference import heavy, jeffery
+from qbxstokes.reference import jeffery
 
 Array = Any
 

@@ -15,6 +15,7 @@ Expected: 121 runs near the limits, 1e-6 from the exact exponents in the median 
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table, power
 from motions import SHEAR, TIGHT, averages, body, groups, labelled, orbit, shown
@@ -23,7 +24,7 @@ from scipy.optimize import minimize_scalar
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy, jeffery
+from qbxstokes.reference import jeffery
 
 HALF_TURNS = 2
 SMALL = 2e-3  # a tilt from rolling, or from the plane of shear, that counts as small

@@ -12,6 +12,7 @@ Expected: every rate within 5e-7 of the shear rate of the periodic solution; the
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table
 from motions import SHEAR, TRANSIENT, averages, body, groups, labelled, orbit
@@ -19,7 +20,6 @@ from scipy.optimize import brentq
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import heavy
 
 HALF_TURNS = 4
 

@@ -15,13 +15,14 @@ Expected: errors of axes below 1e-8 (1e-10 for 0.1 <= k <= 10), of periods and o
 import math
 
 import common
+import heavy
 import numpy as np
 from common import Table, power
 from motions import SHEAR, axes, body, cross, labelled, orbit, paraboloid
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import chwang, heavy, inertial, jeffery
+from qbxstokes.reference import chwang, inertial, jeffery
 
 AXES = axes([[0.48, -0.6, 0.64], [0.6, 0.8, 0.0], [0.1, 0.2, 0.97], [1.0, 0.0, 0.0]])
 

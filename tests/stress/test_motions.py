@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import See
+from conftest import See, script
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -17,10 +17,11 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
-from qbxstokes.reference import heavy, inertial, jeffery
+from qbxstokes.reference import inertial, jeffery
 from qbxstokes.simulation.closed_forms import exact_model
 
 Array = NDArray[np.float64]
+heavy = script("studies/heavy")
 
 extents = pytest.mark.parametrize("extent", ["small", pytest.param("full", marks=pytest.mark.slow)])
 
