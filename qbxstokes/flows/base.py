@@ -304,8 +304,7 @@ class SumFlow(Flow):
 
     def breaks(self, end: float) -> Array:
         """Those of all terms."""
-        found: Array = np.unique(np.concatenate([flow.breaks(end) for flow in self.terms]))
-        return found
+        return np.asarray(np.unique(np.concatenate([flow.breaks(end) for flow in self.terms])))
 
     def until(self, t: float) -> None:
         """So do all terms."""

@@ -66,8 +66,7 @@ def gradient_of(field: VectorField, x: Array, step: Array, levels: int = LEVELS)
 def _laplacian_estimate(field: VectorField, x: Array, h: Array) -> Array:
     offsets = h[..., None, None] * np.concatenate([np.eye(3), -np.eye(3)])
     around = field(x[..., None, :] + offsets).sum(axis=-2)
-    result: Array = (around - 6.0 * field(x)) / h[..., None] ** 2
-    return result
+    return np.asarray((around - 6.0 * field(x)) / h[..., None] ** 2)
 
 
 def laplacian_of(field: VectorField, x: Array, step: Array) -> Array:

@@ -109,8 +109,7 @@ class Series:
         """Samples (T, m) of a series of one path."""
         if len(self) != 1:
             raise FlowError(f"a series of {len(self)} paths; name a trajectory", ("trajectory",))
-        found: Array = self.read(0, 1)[0]
-        return found
+        return np.asarray(self.read(0, 1)[0])
 
     def like(self, other: Series) -> bool:
         """Whether another series has the same instants and rules."""
@@ -156,13 +155,11 @@ class Series:
         """The values (n, m) at instants (n,), of a series of one path."""
         origins, scales, powers = self.powers(t, t)
         x = ((t - origins) * scales)[:, None]
-        found: Array = np.einsum("nk,nkm->nm", x ** np.arange(powers.shape[1]), powers)
-        return found
+        return np.asarray(np.einsum("nk,nkm->nm", x ** np.arange(powers.shape[1]), powers))
 
     def __call__(self, t: float) -> Array:
         """The values (m,) at an instant, of a series of one path."""
-        found: Array = self.values(np.array([t]))[0]
-        return found
+        return np.asarray(self.values(np.array([t]))[0])
 
     def powers(self, first: Array, last: Array) -> tuple[Array, Array, Array]:
         """Origins and scales (n,) and coefficients (n, degree + 1, m) of intervals without samples.

@@ -240,8 +240,7 @@ class PolynomialFlow(Flow):
                         out *= points[..., axis]
             if first:
                 out[...] = 1.0
-        result: Array = monomials @ matrix
-        return result
+        return np.asarray(monomials @ matrix)
 
     @cached_property
     def _monomials(self) -> tuple[list[Exponents], Array]:
@@ -274,23 +273,20 @@ class PolynomialFlow(Flow):
     def odd_about(self, x: ArrayLike) -> Booleans:
         """Whether u(x + r) = -u(x - r) for all r, exactly, shape (...)."""
         u, _, hessian, _ = self.derivatives(x)
-        still: Booleans = ~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1)))
-        return still
+        return np.asarray(~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1))))
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Laplacian B_ikk + C_ijkk y_j, shape (..., 3)."""
         points = self._from_origin(x)
         slope = np.einsum("ijkk->ij", self.third)
-        result: Array = np.einsum("ikk->i", self.hessian) + points @ slope.T
-        return result
+        return np.asarray(np.einsum("ikk->i", self.hessian) + points @ slope.T)
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Pressure B_ikk y_i + C_ijkk y_i y_j / 2, zero at the origin, shape (...)."""
         points = self._from_origin(x)
         slope = np.einsum("ijkk->ij", self.third)
         mean = np.einsum("ikk->i", self.hessian) + 0.5 * points @ slope.T
-        result: Array = np.sum(points * mean, axis=-1)
-        return result
+        return np.asarray(np.sum(points * mean, axis=-1))
 
     def vorticity_of_laplacian(
         self, x: ArrayLike, t: float = 0.0, reach: float | None = None

@@ -21,8 +21,7 @@ _EIGHT_PI = 8.0 * np.pi
 
 
 def _dot(a: Array, b: Array) -> Array:
-    result: Array = np.einsum("...i,...i->...", a, b)
-    return result
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def _outer(a: Array, b: Array) -> Array:
@@ -93,8 +92,9 @@ class Stokeslet(Singularity):
         """Velocity (..., 3)."""
         arm, inverse = self._arms(x)
         along = _dot(arm, self.strength) * inverse**2
-        result: Array = (self.strength + along[..., None] * arm) * (inverse / _EIGHT_PI)[..., None]
-        return result
+        return np.asarray(
+            (self.strength + along[..., None] * arm) * (inverse / _EIGHT_PI)[..., None]
+        )
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """A_ij = (-F_i r_j + r_i F_j + (F.r)(delta_ij - 3 r_i r_j/r^2))/(8 pi r^3)."""
@@ -104,29 +104,20 @@ class Stokeslet(Singularity):
         direction = arm * inverse[..., None]
         terms = _outer(arm, force) - _outer(force, arm)
         terms = terms + along * (np.eye(3) - 3.0 * _outer(direction, direction))
-        result: Array = terms * (inverse**3 / _EIGHT_PI)[..., None, None]
-        return result
+        return np.asarray(terms * (inverse**3 / _EIGHT_PI)[..., None, None])
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Gradient of the pressure: (F - 3 r (F.r)/r^2)/(4 pi r^3)."""
         arm, inverse = self._arms(x)
         along = 3.0 * _dot(arm, self.strength) * inverse**2
-        result: Array = (self.strength - along[..., None] * arm) * (inverse**3 / _FOUR_PI)[
-            ..., None
-        ]
-        return result
+        return np.asarray(
+            (self.strength - along[..., None] * arm) * (inverse**3 / _FOUR_PI)[..., None]
+        )
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """p = F.r/(4 pi r^3)."""
         arm, inverse = self._arms(x)
-        result: Array = _dot(arm, self.strength) * inverse**3 / _FOUR_PI
-        return result
-
-    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """sigma_ij = -3 r_i r_j (F.r)/(4 pi r^5)."""
-        arm, inverse = self._arms(x)
-        factor = -3.0 / _FOUR_PI * _dot(arm, self.strength) * inverse**5
-        return factor[..., None, None] * _outer(arm, arm)
+        return np.asarray(_dot(arm, self.strength) * inverse**3 / _FOUR_PI)
 
 
 class Rotlet(Singularity):
@@ -147,16 +138,14 @@ class Rotlet(Singularity):
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
         arm, inverse = self._arms(x)
-        result: Array = arm @ self._cross.T * (inverse**3 / _EIGHT_PI)[..., None]
-        return result
+        return np.asarray(arm @ self._cross.T * (inverse**3 / _EIGHT_PI)[..., None])
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """A_ij = (eps_iaj M_a - 3 (M x r)_i r_j/r^2)/(8 pi r^3)."""
         arm, inverse = self._arms(x)
         direction = arm * inverse[..., None]
         terms = self._cross - 3.0 * _outer(direction @ self._cross.T, direction)
-        result: Array = terms * (inverse**3 / _EIGHT_PI)[..., None, None]
-        return result
+        return np.asarray(terms * (inverse**3 / _EIGHT_PI)[..., None, None])
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Zero: the rotlet is harmonic."""
@@ -165,14 +154,6 @@ class Rotlet(Singularity):
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Zero."""
         return np.zeros(np.shape(x)[:-1])
-
-    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """sigma_ij = -3 ((M x r)_i r_j + r_i (M x r)_j)/(8 pi r^5)."""
-        arm, inverse = self._arms(x)
-        turned = arm @ self._cross.T
-        factor = (-3.0 / _EIGHT_PI * inverse**5)[..., None, None]
-        result: Array = factor * (_outer(turned, arm) + _outer(arm, turned))
-        return result
 
 
 class Stresslet(Singularity):
@@ -209,8 +190,7 @@ class Stresslet(Singularity):
         direction = arm * inverse[..., None]
         terms = form * (np.eye(3) - 5.0 * _outer(direction, direction))
         terms = terms + 2.0 * _outer(arm, stretched)
-        result: Array = terms * (-3.0 / _EIGHT_PI * inverse**5)[..., None, None]
-        return result
+        return np.asarray(terms * (-3.0 / _EIGHT_PI * inverse**5)[..., None, None])
 
     def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Gradient of the pressure: -3 (2 S r - 5 r s/r^2)/(4 pi r^5)."""
@@ -218,20 +198,9 @@ class Stresslet(Singularity):
         stretched = arm @ self.strength
         form = _dot(stretched, arm) * inverse**2
         terms = 2.0 * stretched - 5.0 * form[..., None] * arm
-        result: Array = terms * (-3.0 / _FOUR_PI * inverse**5)[..., None]
-        return result
+        return np.asarray(terms * (-3.0 / _FOUR_PI * inverse**5)[..., None])
 
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """p = -3 s/(4 pi r^5)."""
         arm, inverse = self._arms(x)
-        result: Array = -3.0 / _FOUR_PI * _dot(arm @ self.strength, arm) * inverse**5
-        return result
-
-    def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """sigma_ij = -3 (r_i (S r)_j + (S r)_i r_j - 5 r_i r_j s/r^2)/(4 pi r^5)."""
-        arm, inverse = self._arms(x)
-        stretched = arm @ self.strength
-        form = (_dot(stretched, arm) * inverse**2)[..., None, None]
-        terms = _outer(arm, stretched) + _outer(stretched, arm) - 5.0 * form * _outer(arm, arm)
-        result: Array = terms * (-3.0 / _FOUR_PI * inverse**5)[..., None, None]
-        return result
+        return np.asarray(-3.0 / _FOUR_PI * _dot(arm @ self.strength, arm) * inverse**5)

@@ -56,16 +56,13 @@ class TransformedFlow(Flow):
         return flow.scaled(number(spec.get("factor", 1.0), "factor"))
 
     def _inner(self, x: ArrayLike) -> Array:
-        result: Array = (np.asarray(x, dtype=float) - self.position) @ self.rotation
-        return result
+        return np.asarray((np.asarray(x, dtype=float) - self.position) @ self.rotation)
 
     def _turn_gradient(self, gradient: Array) -> Array:
-        result: Array = self.factor * (self.rotation @ gradient @ self.rotation.T)
-        return result
+        return np.asarray(self.factor * (self.rotation @ gradient @ self.rotation.T))
 
     def _turn_vector(self, vector: Array) -> Array:
-        result: Array = self.factor * (vector @ self.rotation.T)
-        return result
+        return np.asarray(self.factor * (vector @ self.rotation.T))
 
     def breaks(self, end: float) -> Array:
         """Those of the flow."""
@@ -105,8 +102,7 @@ class TransformedFlow(Flow):
     @property
     def singular_points(self) -> Array:
         """Singular points (n, 3), moved with the flow."""
-        result: Array = self.flow.singular_points @ self.rotation.T + self.position
-        return result
+        return np.asarray(self.flow.singular_points @ self.rotation.T + self.position)
 
     @property
     def singular_points_known(self) -> bool:

@@ -138,8 +138,7 @@ def rotation_matrix(value: Any, name: str = "rotation") -> Array:
             raise FlowError(f"{right}; a zero quaternion is no rotation", (name,))
         scalar, a, b, c = quaternion / length
         cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
-        turned: Array = np.eye(3) + 2.0 * (scalar * cross + cross @ cross)
-        return turned
+        return np.asarray(np.eye(3) + 2.0 * (scalar * cross + cross @ cross))
     if len(rows) != 3:
         raise FlowError(right, (name,))
     matrix = tensor(value, name, (3, 3))
