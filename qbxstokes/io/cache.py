@@ -68,6 +68,8 @@ class Cache:
 
         fault: says what is wrong with the arrays, '' where nothing is.
         """
+        if self.folder is None and self.entries is None:
+            return None
         text = _text(kind, key)
         if self.entries is not None and text in self.entries:
             return dict(self.entries[text])
@@ -93,6 +95,8 @@ class Cache:
 
     def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
         """Keep the arrays under this key; a folder that cannot be written is told, no more."""
+        if self.folder is None and self.entries is None:
+            return
         text = _text(kind, key)
         if self.entries is not None:
             self.entries[text] = dict(arrays)

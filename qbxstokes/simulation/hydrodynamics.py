@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import ChangingFlow, Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
+from qbxstokes.io.cache import Cache
 from qbxstokes.motion.point import PointMotion
 from qbxstokes.qbx.operator import (
     GradedScheme,
@@ -27,7 +28,7 @@ from qbxstokes.qbx.operator import (
     layer_rows,
     rigid_defects,
 )
-from qbxstokes.typing import AnyArray, Array
+from qbxstokes.typing import Array
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
@@ -38,54 +39,12 @@ _THIN = 1.0 / 64.0
 _FLOW_SHARE = 0.1
 
 
-# What is wrong with arrays that were kept, in words; '' where nothing is.
-Fault = Callable[[Mapping[str, AnyArray]], str]
-
-
-class Store(Protocol):
-    """Where arrays are kept between runs: `io.cache.Cache`, or nothing at all."""
-
-    @property
-    def found(self) -> int:
-        """How often something was found so far."""
-
-    @property
-    def problems(self) -> list[str]:
-        """What was found and could not be used."""
-
-    def load(
-        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
-    ) -> dict[str, AnyArray] | None:
-        """What was stored under the key, if anything was in which there is no fault."""
-
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
-        """Keep arrays under a key."""
-
-
-class Nowhere:
-    """A store that keeps nothing."""
-
-    found = 0
-
-    def __init__(self) -> None:
-        self.problems: list[str] = []
-
-    def load(
-        self, kind: str, key: Mapping[str, Any], fault: Fault = lambda _: ""
-    ) -> dict[str, AnyArray] | None:
-        """Nothing."""
-        return None
-
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
-        """Nothing is kept."""
-
-
 @dataclass(frozen=True)
 class Workshop:
     """Who forms the rows of the operators (several ranks perhaps), and where results are kept."""
 
     form_rows: RowFormer = layer_rows
-    cache: Store = field(default_factory=Nowhere)
+    cache: Cache = field(default_factory=lambda: Cache(None))
 
 
 @dataclass(frozen=True)

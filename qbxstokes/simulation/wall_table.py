@@ -15,14 +15,14 @@ degree, whose values take less.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.io.cache import Cache
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.suspension import Suspension
@@ -41,16 +41,6 @@ _FINEST = 28
 _MODES = ((0, ""), (0, "x"), (1, "y"), (0, "z"), (1, ""), (0, "y"), (1, "x"), (1, "z"))
 
 
-class Cells(Protocol):
-    """What keeps cells from run to run: `io.cache.Cache`."""
-
-    def load(self, kind: str, key: Mapping[str, Any]) -> Mapping[str, Array] | None:
-        """The arrays of a key."""
-
-    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-        """Keep them."""
-
-
 class OverWall:
     """The free motion of one body over a wall in a flow of degree 2, from a table.
 
@@ -65,7 +55,7 @@ class OverWall:
     """
 
     def __init__(
-        self, body: Body, wall: Wall, *, tolerance: float = 1e-6, cache: Cells | None = None
+        self, body: Body, wall: Wall, *, tolerance: float = 1e-6, cache: Cache | None = None
     ) -> None:
         self.body, self.wall, self.tolerance, self.cache = body, wall, tolerance, cache
         self._scene = Suspension(
