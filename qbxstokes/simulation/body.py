@@ -14,21 +14,25 @@ array([1., 0., 0.])
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.formed_body import FormedBody
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
 from qbxstokes.typing import AnyArray, Array
 
-if TYPE_CHECKING:
-    pass
+Pair = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def flow(type: str, **keys: Any) -> Flow:
@@ -76,10 +80,9 @@ class Body(FormedBody):
         position (..., 3); orientation: axes (..., 3) or quaternions (..., 4); they broadcast.
         force, torque (3,): from outside, in space; None: the body is free of them.
         """
-        from qbxstokes.simulation.placed_body import NOTHING, PlacedBody
-
-        loads = force, torque
-        return PlacedBody(self, flow, position, orientation, NOTHING, loads, t).velocities()
+        scene, assembled = self._placed(flow, position, orientation, t, loads=(force, torque))
+        u, omega = assembled.equations.velocities(t, assembled.initial)
+        return scene.shaped(np.array(u)), scene.shaped(np.array(omega))
 
     def force_torque(
         self,
@@ -98,10 +101,10 @@ class Body(FormedBody):
         >>> np.round(force / np.pi, 9)
         array([6., 0., 0.])
         """
-        from qbxstokes.simulation.placed_body import NOTHING, PlacedBody
-
         motion = velocity, angular_velocity
-        return PlacedBody(self, flow, position, orientation, motion, NOTHING, t).force_torque()
+        scene, assembled = self._placed(flow, position, orientation, t, motion)
+        force, torque = assembled.equations.force_torque(t, assembled.initial)
+        return scene.shaped(force), scene.shaped(torque)
 
     def stresslet(
         self,
@@ -126,10 +129,41 @@ class Body(FormedBody):
         >>> np.round(np.diag(qs.Body(1.0).stresslet(strain)) * 3 / (20 * np.pi), 9) + 0.0
         array([ 1., -1.,  0.])
         """
-        from qbxstokes.simulation.placed_body import PlacedBody
-
         motion, loads = (velocity, angular_velocity), (force, torque)
-        return PlacedBody(self, flow, position, orientation, motion, loads, t).stresslet()
+        scene, assembled = self._placed(flow, position, orientation, t, motion, loads)
+        states, free = assembled.initial, all(u is None for u in (*motion, *loads))
+        drag = None if free else assembled.equations.force_torque(t, states)[1]
+        q = rotation.normalize(states[:, ORIENTATION])
+        found = assembled.stress.stresslet(t, states[:, POSITION], q, rotation.axis(q), drag)
+        return scene.shaped(symmetric(found))
+
+    def _placed(
+        self,
+        flow: Flow,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        t: float,
+        motion: Pair = (None, None),
+        loads: Pair = (None, None),
+    ) -> tuple[Simulation, Assembled]:
+        """The body at places (..., 3) with orientations (...) in a flow at time t.
+
+        motion: velocity and angular velocity (space frame), of a body that is not free; what is
+        left out is zero. loads: force and torque from outside.
+        """
+        held, pushed = (any(u is not None for u in pair) for pair in (motion, loads))
+        velocity, spin = (ORIGIN if held and u is None else u for u in motion)
+        scene = Simulation(
+            # With inertia the velocities are part of the state, whatever the Stokes number.
+            self.with_inertia(1.0 if held else 0.0),
+            flow,
+            position=position,
+            orientation=orientation,
+            velocity=velocity,
+            angular_velocity=spin,
+            loads=Loads(*(ORIGIN if f is None else f for f in loads)) if pushed else None,
+        )
+        return scene, scene.assemble(t=t)
 
     def integrate(
         self,

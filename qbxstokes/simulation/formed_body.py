@@ -16,14 +16,13 @@ from qbxstokes.bie.accuracy import AccurateBody
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.running import Hydrodynamics
-from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.registry import build_shape
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.equations import Inertia
-from qbxstokes.simulation.arguments import numbers
+from qbxstokes.simulation.arguments import numbers, section
 from qbxstokes.simulation.hydrodynamics import (
     Former,
     Hydrodynamic,
@@ -72,7 +71,8 @@ class FormedBody:
             # A tolerance that nobody stated is one to come as near to as rounding allows.
             self.strict = "tolerance" in hydrodynamics.given_keys
         else:
-            self.settings = _settings({"tolerance": tolerance, **(hydrodynamics or {})})
+            given = {"tolerance": tolerance, **(hydrodynamics or {})}
+            self.settings = section("hydrodynamics", Hydrodynamics, given)
             self.strict = True
         self._formed: dict[tuple[int, Completion | None], tuple[AccurateBody, list[Any]]] = {}
         self._stress: dict[str, Stresslet] = {}
@@ -247,11 +247,3 @@ class FormedBody:
         from qbxstokes.simulation.flow_around import exterior_field
 
         return exterior_field(self, velocity, density, (force, torque), tolerance)
-
-
-def _settings(given: Mapping[str, Any]) -> Hydrodynamics:
-    try:
-        return Hydrodynamics.read(dict(given))
-    except Problem as problem:
-        key = ".".join(["hydrodynamics", *map(str, problem.key)])
-        raise SceneError(key, problem.wrong, problem.right) from None
