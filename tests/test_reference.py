@@ -308,7 +308,7 @@ def test_sphere_in_a_stokeslet_obeys_the_classical_laws():
     U, omega = faxen.free_motion(1.0, random_rotation(np.random.default_rng(5)), centre, velocity)
     assert pytest.approx(velocity(centre) + lap / 6, abs=1e-14) == U
     assert omega == pytest.approx(np.cross(force, r) / distance**3 / (8 * np.pi), abs=1e-14)
-    triaxial = faxen.free_motion_ellipsoid((1.0, 1.0, 1.0), np.eye(3), centre, velocity)
+    triaxial = faxen.free_motion((1.0, 1.0, 1.0), np.eye(3), centre, velocity)
     assert triaxial[0] == pytest.approx(U, abs=1e-14)
     assert triaxial[1] == pytest.approx(omega, abs=1e-14)
 
@@ -319,7 +319,7 @@ def test_slender_and_flat_ellipsoids_agree_with_the_spheroid():
     turn, centre = random_rotation(rng), rng.normal(size=3)
     for k in (0.2, 4.0):
         one = faxen.free_motion(k, turn, centre, velocity, order=8)
-        two = faxen.free_motion_ellipsoid((k, k, 1.0), turn, centre, velocity, order=8)
+        two = faxen.free_motion((k, k, 1.0), turn, centre, velocity, order=8)
         assert one[0] == pytest.approx(two[0], rel=1e-13)
         assert one[1] == pytest.approx(two[1], rel=1e-13)
 

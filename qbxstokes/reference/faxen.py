@@ -105,30 +105,21 @@ def surface_means(
 
 
 def free_motion(
-    k: float,
+    k: ArrayLike,
     rotation: ArrayLike,
     centre: ArrayLike,
     velocity: Callable[[Array], Array],
     order: int = 40,
 ) -> tuple[Array, Array]:
-    """(U, Omega) (3,) in space of a free spheroid in any flow; arguments as `surface_means`."""
-    return free_motion_ellipsoid((k, k, 1.0), rotation, centre, velocity, order)
+    """(U, Omega) (3,) in space of a free spheroid in any flow; arguments as `surface_means`.
 
-
-def free_motion_ellipsoid(
-    semi_axes: ArrayLike,
-    rotation: ArrayLike,
-    centre: ArrayLike,
-    velocity: Callable[[Array], Array],
-    order: int = 40,
-) -> tuple[Array, Array]:
-    """(U, Omega) (3,) in space of a free triaxial ellipsoid; arguments as `surface_means`.
-
+    k may be the semi-axes (3,) of a triaxial ellipsoid.
     Omega_1 = (b^2 A_32 - c^2 A_23)/(b^2 + c^2) and cyclic (Jeffery 1922).
     """
     turn = np.asarray(rotation, dtype=float)
-    mean, gradient = surface_means(semi_axes, turn, centre, velocity, order)
-    a, b, c = np.asarray(semi_axes, dtype=float) ** 2
+    axes = np.asarray(k if np.ndim(k) else (k, k, 1.0), dtype=float)
+    mean, gradient = surface_means(axes, turn, centre, velocity, order)
+    a, b, c = axes**2
     omega = [
         (b * gradient[2, 1] - c * gradient[1, 2]) / (b + c),
         (c * gradient[0, 2] - a * gradient[2, 0]) / (c + a),
