@@ -24,7 +24,7 @@ from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
-from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan
+from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
@@ -255,7 +255,7 @@ def block_seconds(scenes: Swept) -> Array:
     """Integration time of every block, carried over from a few that are begun."""
     if not isinstance(scenes, Scenes):
         first = getattr(scenes, "first", None)
-        each = coupled_seconds(first) if isinstance(first, CoupledPlan) else MODEL
+        each = coupled_seconds(first) if isinstance(first, MotionPlan) else MODEL
         return np.full(scenes.blocks, scenes.turns * each)
     weight = block_weights(scenes)
     numbers, rates = [], []

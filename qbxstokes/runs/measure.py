@@ -23,7 +23,7 @@ from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, check_whole, summarise
 from qbxstokes.runs.body import computed
-from qbxstokes.runs.plan import CoupledPlan, make_plan, plan_body, plan_coupled
+from qbxstokes.runs.plan import MotionPlan, make_plan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_layout import DRIVEN, columns_of_bodies
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
@@ -176,7 +176,7 @@ def _of_several(loaded: LoadedCase, result: BlockResult) -> dict[str, Any]:
     """Compute bodies that share a fluid; returns their columns, fills in samples of a motion."""
     begin, plan = time.perf_counter(), plan_coupled(loaded)
     bodies = len(loaded.case.members) if loaded.case.bodies is not None else 0
-    if not isinstance(plan, CoupledPlan):
+    if not isinstance(plan, MotionPlan):
         scene: Any = plan.simulation
         arrays, summary = computed(scene)
         found = {
@@ -187,7 +187,7 @@ def _of_several(loaded: LoadedCase, result: BlockResult) -> dict[str, Any]:
         vectors = {name: arrays[name] for name in DRIVEN if name in arrays}
     else:
         result.times = times = plan.times
-        motion = plan.simulation.integrate(times)
+        motion: Any = plan.simulation.integrate(times)
         told = motion.summary
         if told["events"].get("ended_by"):
             result.endings[0] = f"{motion.ended_by} at t = {motion.time[-1]:.6g}: {motion.message}"

@@ -12,7 +12,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.errors import ContactError
-from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_bodies, of_event
+from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_bodies
 from qbxstokes.quantity import Quantity
 from qbxstokes.runs.field_targets import Targets, targets_of
 from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
@@ -21,7 +21,7 @@ from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
-    from qbxstokes.simulation.coupled import CoupledSimulation
+    pass
 
 
 _COUPLED_SAMPLES = 51  # of bodies that share a fluid, where the case does not say
@@ -61,15 +61,14 @@ class MotionPlan(Plan):
     @property
     def cuts(self) -> tuple[int, int]:
         """Steps and samples between the cuts at which the run can be resumed, at most."""
+        if self.simulation.coupled:
+            return 5, 20  # steps of a second or more
         return CUT_STEPS[self.simulation.kind], CUT_SAMPLES
 
     def about(self, name: str) -> Quantity:
-        """What a recorded quantity is."""
-        return RECORDABLE[name]
-
-    def about_event(self, name: str) -> dict[str, Quantity]:
-        """What is recorded of the events of one name."""
-        return of_event(name)
+        """What a recorded quantity is, with an axis of bodies where there are several."""
+        about, scene = RECORDABLE[name], self.simulation
+        return of_bodies(about, len(scene)) if scene.several else about
 
 
 def plan_of(loaded: LoadedCase) -> Plan:
@@ -181,27 +180,6 @@ def plan_body(loaded: LoadedCase) -> Plan:
     return Plan(scene, tuple(needs), tuple(skips))
 
 
-@dataclass(frozen=True)
-class CoupledPlan(MotionPlan):
-    """The work of a motion of bodies that share a fluid."""
-
-    simulation: CoupledSimulation
-
-    @property
-    def cuts(self) -> tuple[int, int]:
-        """A few steps, of a second or more."""
-        return 5, 20
-
-    def about(self, name: str) -> Quantity:
-        """With an axis of bodies where there are several."""
-        about = RECORDABLE[name]
-        return of_bodies(about, len(self.simulation)) if self.simulation.several else about
-
-    def about_event(self, name: str) -> dict[str, Quantity]:
-        """What is recorded of the events of one name."""
-        return of_event(name, coupled=True)
-
-
 def plan_coupled(loaded: LoadedCase) -> Plan:
     """Plan with several bodies or a wall; raises CaseError for what the schema cannot see."""
     from qbxstokes.simulation.from_bodies import coupled_of
@@ -242,7 +220,7 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
             if name not in (*MOTION, "stresslet"):
                 wrong, right = f"{name} is not there for several bodies or a wall", "stresslet"
                 raise loaded.error(("output", "fields", index), wrong, right)
-    return CoupledPlan(scene, tuple(needs), skips, times, quantities)
+    return MotionPlan(scene, tuple(needs), skips, times, quantities)
 
 
 def plan_rheology(loaded: LoadedCase) -> Plan:

@@ -9,7 +9,7 @@ from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.scene import FREE, LOCKED
 from qbxstokes.case.schema import Case
-from qbxstokes.runs.plan import CoupledPlan, MotionPlan, Plan
+from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -134,7 +134,7 @@ def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
             "samples": len(plan.times),
             "bytes_on_disk": plan.bytes_on_disk,
         }
-        if not isinstance(plan, CoupledPlan):
+        if not plan.simulation.coupled:
             facts |= {"hydrodynamics": plan.simulation.kind, "jeffery_period": plan.period}
     return facts
 

@@ -18,7 +18,7 @@ from qbxstokes.io.names import told_by
 from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
-from qbxstokes.quantities import MOTION, STRESS, TIME
+from qbxstokes.quantities import MOTION, STRESS, TIME, of_event
 from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.simulation.compare import orbit_drift
@@ -200,7 +200,7 @@ class Recording:
         first, seen, drift = None, 0, 0.0
         for name, rows in _joined(self._rows(), _PIECE):
             if name != SAMPLES:
-                columns = self._plan.about_event(name)
+                columns = of_event(name, coupled=self._plan.simulation.coupled)
                 writer.append_events(name, split_columns(rows, columns), columns)
                 continue
             data = split_columns(rows, self._columns)

@@ -14,7 +14,7 @@ from qbxstokes.case.values import Key
 from qbxstokes.io.sweep_result import REASON_LENGTH, Layout
 from qbxstokes.quantities import BODY_COLUMNS, COUPLED_COLUMNS, PARAMETER, STATUS
 from qbxstokes.quantity import Quantity
-from qbxstokes.runs.plan import CoupledPlan, plan_body, plan_coupled
+from qbxstokes.runs.plan import MotionPlan, plan_body, plan_coupled
 from qbxstokes.runs.sweep_blocks import Alone, Scenes
 from qbxstokes.typing import AnyArray
 
@@ -61,7 +61,7 @@ class CoupledScenes(Alone):
             told = f"{name.replace('_', ' ')}: body, component"
             for column in columns_of_bodies(name, self.bodies):
                 self.columns[column] = Quantity(column, "", "", told)
-        if isinstance(plan, CoupledPlan):
+        if isinstance(plan, MotionPlan):
             self.nouns, self.samples = ("trajectory", "trajectories"), len(plan.times)
             if loaded.case.sweep.store == "samples":
                 self.quantities = plan.quantities

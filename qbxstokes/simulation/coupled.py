@@ -42,6 +42,8 @@ class CoupledSimulation(Simulation):
     The rest as in `Simulation`.
     """
 
+    coupled = True
+
     def __init__(
         self,
         bodies: Body | Sequence[Body],

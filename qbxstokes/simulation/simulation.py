@@ -57,6 +57,8 @@ class Simulation:
     ((2, 41, 3), True)
     """
 
+    # Whether bodies share the fluid or feel a wall, and whether they were given as a list.
+    coupled = several = False
     brownian: Brownian | None = None
     numbers: NDArray[np.uint64]  # of the lanes as trajectories, which choose their random numbers
 
