@@ -105,6 +105,11 @@ class CoupledEquations(RigidBodyEquations):
         return False
 
     @property
+    def relaxation_rates(self) -> Array:
+        """Of one body alone (4, N): zero, since what drag does is a matter of all of them."""
+        return np.zeros((4, self.n_lanes))
+
+    @property
     def stiffness(self) -> Array:
         """Fastest relaxation rate of each body alone, (N,); zero for St = 0."""
         return self._relaxation

@@ -89,7 +89,8 @@ class Forecast:
         accurate = float(self._span * tolerance ** (-1.0 / 8.0))
         if kind not in EXPLICIT_TYPES:
             return 1.6 * accurate
-        lag = tolerance * self._stiff_span / self._span if self._span > 0.0 else 0.0
+        lag = self._stiff_span / self._span if self._span > 0.0 else 0.0
+        lag *= max(tolerance, min(tolerance * lag, self._asked))  # as accepted of velocities
         reach = min(4.8, float(12.0 * lag ** (1.0 / 8.0)))
         return max(0.11 * accurate, self._stiff_span / reach if reach > 0.0 else 0.0)
 

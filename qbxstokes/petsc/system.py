@@ -19,7 +19,7 @@ from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
-from qbxstokes.motion.layout import POSITION, SPIN, VELOCITY
+from qbxstokes.motion.layout import POSITION, RATES, SPIN, VELOCITY
 from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.typing import Array
@@ -189,10 +189,17 @@ class System:
     def _weights(self, kind: str) -> Array:
         """Errors of a step that are accepted of small components, (columns, n_state).
 
+        An error of a velocity lasts as long as drag lets it, and moves the body by no more: that
+        much is accepted of it, up to the tolerance itself.
         One component of a vector is known to rounding of the largest, since the equations turn it
         into the body's frame and back: what is less than that is asked of none.
         """
         accepted, state = self.local_tolerance * self._scales, self._start.state
+        if not self.equations.massless:
+            across, along, turn, spin = self.equations.relaxation_rates
+            fastest = np.stack([*3 * [np.minimum(across, along)], turn, turn, spin], axis=1)
+            size, most = accepted[:, RATES], self._tolerance * self._scales[:, RATES]
+            size[:] = np.maximum(size, np.minimum(self.local_tolerance * fastest, most))
         for part in (POSITION, VELOCITY, SPIN):
             size = np.linalg.norm(state[:, part], axis=1, keepdims=True)
             accepted[:, part] = np.maximum(accepted[:, part], 4.0 * floor_of(kind) * size)
