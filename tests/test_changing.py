@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -314,3 +315,21 @@ def test_a_heavy_body_waits_for_a_pulse() -> None:
     ]
     assert np.abs(axes[0] - axes[1]).max() < 1e-6
     assert np.abs(axes[0] - AXIS).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("rate", "strain"),
+    [
+        (lambda t: 1.0 if t < 2.0 else -3.0, -16.0),
+        (lambda t: 1.0 + 0.5 * math.sin(3e3 * t), 8.0 + (1.0 - math.cos(2.4e4)) / 6e3),
+    ],
+    ids=["jump", "oscillation"],
+)
+def test_jumps_and_what_is_faster_than_the_body_are_seen(rate: Any, strain: float) -> None:
+    body, start = qs.Body(0.3), [0.6, 0.3, 0.8]
+    steady = qs.flow("shear", rate=math.copysign(1.0, strain))
+    right = body.integrate(steady, [abs(strain)], orientation=start, tolerance=1e-11).axis[-1]
+    for tolerance in (1e-4, 1e-6):
+        flow = qs.flow("shear", rate=rate)
+        found = body.integrate(flow, [8.0], orientation=start, tolerance=tolerance)
+        assert np.abs(found.axis[-1] - right).max() < 2.0 * tolerance

@@ -21,7 +21,7 @@ from numpy.polynomial import chebyshev
 from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.values import DOUBLE, SINGLE, Key, settled, tensor, traceless
-from qbxstokes.typing import Array
+from qbxstokes.typing import Array, Integers
 
 _NODES = 10
 _ROOTS = np.sort(chebyshev.chebpts1(_NODES))
@@ -43,6 +43,8 @@ NO_BOUND = "the rates of change grow without bound"
 _EDGE = 1e-4
 # Where a function is asked whether it is still what it was, as parts of a run.
 _PROBES = np.array([0.0, 0.137, 0.618, 0.911])
+# By how much more than they are accurate numbers of neighbouring pieces differ where they jump.
+_JUMP = 100.0
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
 
 
@@ -210,7 +212,7 @@ class Sampled:
         self._size = _WINDOW if self._exact is None else max(4, _SAMPLES // count)
         self._next, self.asked = 0, 0
         self.refusal: FlowError | None = None
-        self.edges = np.zeros(1)
+        self.edges, self._jumps = np.zeros(1), np.empty(0)
         self.origins, self.scales = np.empty((2, 0))
         self.coefficients = np.empty((0, 1, count))
 
@@ -226,9 +228,22 @@ class Sampled:
             return -1
         return min(int(np.searchsorted(self.edges, t, "right")), len(self.origins)) - 1
 
+    def near(self, t: float, pieces: int) -> tuple[float, float]:
+        """Where a function is so many pieces on from t, and its next jump; inf for samples."""
+        last = int(np.searchsorted(self.edges, t, "right")) + pieces - 1
+        jump = int(np.searchsorted(self._jumps, t, "right"))
+        return (
+            math.inf if self._exact is not None or last >= len(self.edges) else self.edges[last],
+            math.inf if jump == len(self._jumps) else self._jumps[jump],
+        )
+
     def many(self, t: Array) -> Array:
         """The numbers (..., m) at instants (...) that are covered."""
-        pieces = np.clip(np.searchsorted(self.edges, t, "right") - 1, 0, len(self.origins) - 1)
+        last = len(self.origins) - 1
+        return self._of(np.clip(np.searchsorted(self.edges, t, "right") - 1, 0, last), t)
+
+    def _of(self, pieces: Integers, t: Array) -> Array:
+        """The polynomials of pieces (...) at instants (...)."""
         x = ((t - self.origins[pieces]) * self.scales[pieces])[..., None]
         powers = x ** np.arange(self.coefficients.shape[1])
         found: Array = np.einsum("...k,...km->...m", powers, self.coefficients[pieces])
@@ -263,6 +278,12 @@ class Sampled:
             for a, b in zip(old, new, strict=True)
         )
         self.origins, self.scales, self.coefficients = joined
+        if self._exact is None:
+            after = np.arange(max(1, len(self.origins) - len(edges)), len(self.origins))
+            there = self.edges[after]
+            left, right = self._of(after - 1, there), self._of(after, there)
+            jump = np.abs(right - left) > _JUMP * self.accuracy * np.maximum(abs(left), abs(right))
+            self._jumps = np.append(self._jumps, there[np.any(jump, axis=1)])
 
     def _divide(self) -> None:
         """Divide all intervals where the first one takes many pieces: windows stay small."""

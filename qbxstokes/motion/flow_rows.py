@@ -18,6 +18,8 @@ from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.taylor import pack_flow
 from qbxstokes.typing import Array, Integers
 
+_STEP = 2  # pieces of a function that a step may be long
+
 
 class FlowRows:
     """Rows of the table of the flows of a block, (m,) or (m, n_lanes), that change.
@@ -66,6 +68,11 @@ class FlowRows:
         """Know the flows from `begin` to t, if possible; the instant up to which they are known."""
         assert self._sampled is not None
         return self._sampled.cover(t, begin)
+
+    def near(self, t: float) -> tuple[float, float]:
+        """How far a step from t may go to see what the flow does, and where the flow jumps next."""
+        assert self._sampled is not None
+        return self._sampled.near(t, _STEP)
 
     def at(self, t: float) -> Any:
         """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ."""

@@ -139,6 +139,7 @@ class Run:
         self._breaks, self._watch, self._system = breaks, watch, system
         self.equations, self.checkpoint, self.times = system.equations, checkpoint, times
         self.stopped, self.refusal, self.failure = False, "", ""
+        self._jumps = False  # whether the flow is kept as before a jump
         self.reached = checkpoint.time
         self._largest, self._end = 0.0, system.end
         self.counter = system.counter
@@ -241,17 +242,25 @@ class Run:
 
     def _to_break(self, t: float, start: Array) -> None:
         """One accepted step from t, up to the next break at most."""
-        ts, breaks = self.ts, self._breaks
+        ts, breaks, system = self.ts, self._breaks, self._system
         length, place = ts.getTimeStep(), int(np.searchsorted(breaks, t, "right"))
         last = place == len(breaks)
         limit = self._end if last else float(breaks[place])
-        if len(breaks):
+        if len(breaks) or self._jumps:
             self._watch.until(limit)
-        if not last and t + length > limit - 1e-3 * length:
+        known = system.cover(t, min(t + length, limit))
+        near, jump = system.near(t)
+        self._jumps = jump < limit
+        if self._jumps:
+            limit, last = jump, False
+            self._watch.until(limit)
+            known = system.cover(t, min(t + length, limit))
+        if near < t + length:
+            ts.setTimeStep(near - t)
+        if not last and t + ts.getTimeStep() > limit - 1e-3 * length:
             ts.setTimeStep(limit - t)
-        known = self._system.cover(t, min(t + length, limit))
         if known < min(t + length, limit):
-            self.counter.refusal = self._system.refusal
+            self.counter.refusal = system.refusal
             if known - t <= 1e-13 * self._end:
                 raise self._failed("", NO_VALUE)
             ts.setTimeStep(known - t)

@@ -120,6 +120,10 @@ class System:
             self.native.renew()
         return after if known >= after else known
 
+    def near(self, t: float) -> tuple[float, float]:
+        """How far a step from t may go to see what the flow does, and where the flow jumps next."""
+        return (math.inf, math.inf) if self._changing is None else self._changing.near(t)
+
     @property
     def refusal(self) -> FlowError | None:
         """Why the flow is known no further."""
