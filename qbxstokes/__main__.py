@@ -1,7 +1,5 @@
 """`python -m qbxstokes`: the command line, with one thread budget for all ranks of a node."""
 
-from __future__ import annotations
-
 import gc
 import io
 import os

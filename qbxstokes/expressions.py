@@ -1,7 +1,5 @@
 """Arithmetic that users write as text: numbers, pi, and functions of the time t."""
 
-from __future__ import annotations
-
 import ast
 import math
 import operator

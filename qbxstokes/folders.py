@@ -4,8 +4,6 @@ In a container or on a compute node it may not: the package is not writable, HOM
 full. Nothing that is kept is needed; what cannot be kept is made anew and told.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

@@ -5,8 +5,6 @@ Result files, pictures, exports, summaries, the schema of a case and the pages r
 radius), time tau, force mu c^2/tau, torque mu c^3/tau. Symbols are LaTeX.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from qbxstokes.quantity import Quantity, table

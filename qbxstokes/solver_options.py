@@ -7,8 +7,6 @@ refused wherever they come from. A case, which somebody else may have written, n
 and no files; the command line, which the user types, may.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any

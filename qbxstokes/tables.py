@@ -6,8 +6,6 @@ quotes too. A first row in which not every entry is a number names the columns. 
 the array itself and is mapped, not read.
 """
 
-from __future__ import annotations
-
 import csv
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Types of arrays, by the names that all annotations use."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

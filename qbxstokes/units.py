@@ -3,8 +3,6 @@
 By pint, which is loaded only where a case or a reader asks for units.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

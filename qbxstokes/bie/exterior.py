@@ -7,8 +7,6 @@ density is known, quadrature by expansion near the surface, panels graded to the
 and plain quadrature far away (`qbx.volume`) take over, and they check it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """The law of a body in polynomial flows, fitted to its functional."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import combinations_with_replacement, permutations

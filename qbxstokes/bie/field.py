@@ -6,8 +6,6 @@
 disturbance D[psi] + V is an `ExteriorField`, held in the body frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -15,8 +15,6 @@ At the centre, bodies of revolution with fore-aft symmetry leave ten numbers, wh
 two resistances each to translation and rotation, lambda, and S0, S1, S2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

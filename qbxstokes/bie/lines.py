@@ -6,8 +6,6 @@ gradient, so that log L changes at a bounded rate there, and no step of an integ
 large, leaves the outside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

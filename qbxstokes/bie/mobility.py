@@ -7,8 +7,6 @@ with U, Omega 4 pi times the L2 projections of psi on the rigid motions (Bagge 2
 its spectrum [-8 pi, 0]).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from qbxstokes.bie.rigid import RigidMode

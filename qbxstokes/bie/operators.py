@@ -1,7 +1,5 @@
 """The operators of one body on one grid, and the body model they give."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

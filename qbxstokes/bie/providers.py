@@ -6,8 +6,6 @@ work in the body frame, where the discrete operators never change, and answer in
 Polynomial flows need neither: their law is `FaxenCoefficients`.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from functools import cached_property

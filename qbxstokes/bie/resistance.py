@@ -7,8 +7,6 @@ the fluid. It is either the point stokeslet and rotlet at the centre (Power & Mi
 single layer spread over the surface, smooth for every aspect ratio.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -4,8 +4,6 @@ Known beforehand where the flow's singular points are (the rate of decay of thei
 surface), and otherwise found by comparing the free motion on two grids.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ the motion along (about) x is real and that along (about) y is -i times it: a co
 U_x - i U_y carries both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ mode, shared by all bodies of one shape and unchanged when they move. Lengths in
 radius.
 """
 
-from __future__ import annotations
-
 from functools import cached_property, lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sections `bodies` and `surroundings`: several bodies in one fluid, and the wall beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal

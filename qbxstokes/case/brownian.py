@@ -1,7 +1,5 @@
 """Section `brownian`: random turns, and on request random displacements, of bodies that move."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from qbxstokes.case.model import Positive, Section, key, whole

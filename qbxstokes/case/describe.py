@@ -1,7 +1,5 @@
 """The schema told as a page and as JSON Schema."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import textwrap

@@ -8,8 +8,6 @@ The data are made here from PyYAML's nodes rather than by its constructors, so t
 - every value keeps its line for messages of the form `file:line: key: what is wrong`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

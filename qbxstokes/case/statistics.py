@@ -1,7 +1,5 @@
 """Section `statistics`: what is kept of an ensemble of paths in the place of their motions."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from qbxstokes.case.model import Section, choice, key, number, some, whole

@@ -1,7 +1,5 @@
 """What users write: numbers, angles, expressions, words; and what is told where it is wrong."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """What the environment is like, what is wrong with it, and what to do about that."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

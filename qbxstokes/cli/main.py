@@ -4,8 +4,6 @@ Exit statuses: 0 success; 1 the run failed (a solver, an accuracy limit, a full 
 is wrong (case file, command line, file named in them); 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

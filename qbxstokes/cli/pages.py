@@ -1,7 +1,5 @@
 """The manual: pages in Markdown beside the package, each a topic, printed as plain text."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator

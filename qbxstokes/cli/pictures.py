@@ -1,7 +1,5 @@
 """The commands `plot`, `animate` and `export`: what is made of result files."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

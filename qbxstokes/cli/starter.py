@@ -1,7 +1,5 @@
 """Starter cases: some lines to begin with, or every key of a task with its meaning."""
 
-from __future__ import annotations
-
 import json
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """A flow with what a plane wall answers to it, such as a stokeslet with its images."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Is it a Stokes flow, and does it stay regular where the body is?"""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Protocol

@@ -1,7 +1,5 @@
 """A user's function of one point, compiled by numba, which is imported with this module."""
 
-from __future__ import annotations
-
 import ctypes
 import inspect
 from collections.abc import Callable, Mapping

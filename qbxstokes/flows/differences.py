@@ -7,8 +7,6 @@ below the distance to the nearest singularity the relative errors are about 1e-1
 1e-10 (Laplacian) and 1e-8 (curl of the Laplacian).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

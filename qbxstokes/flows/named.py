@@ -4,8 +4,6 @@ Directions are those of the space frame: the stream runs along e1 and varies alo
 `position` and `rotation` beside the keys below move and turn any of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

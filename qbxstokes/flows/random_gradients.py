@@ -6,8 +6,6 @@ normal amplitudes and frequencies (Kraichnan, Phys. Fluids 13, 1970). As in homo
 the mean square of the vorticity is 2 <E:E>.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

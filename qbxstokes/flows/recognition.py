@@ -6,8 +6,6 @@ Coefficients are rounded to the shortest decimals that the values do not tell ap
 that what was written with few digits is found as it was written.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Flows by name: a new flow is one new file and one line in `REGISTRY`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Numbers, tensors, rotations and keys of a flow's specification, checked as they are read."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence

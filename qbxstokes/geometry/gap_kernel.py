@@ -4,8 +4,6 @@ on the sphere.
 Imported only when bodies share a fluid; see `gaps` for what is meant.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

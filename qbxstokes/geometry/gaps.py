@@ -5,8 +5,6 @@ its polar radius and d its axis. Two convex bodies are apart by the largest valu
 m.(x_2 - x_1) - h_1(m) - h_2(m), which is concave; a negative one says how deep they overlap.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The surface grid that carries densities: polar times azimuthal nodes on a body of revolution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal

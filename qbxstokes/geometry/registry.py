@@ -1,7 +1,5 @@
 """Shapes by name: a new shape is one new file and one line in `SHAPES`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import fields

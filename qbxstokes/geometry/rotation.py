@@ -5,8 +5,6 @@ frame into the space frame: v_space = R(q) v_body, and the columns of R are the 
 D1, D2, D3 seen in space. All functions broadcast over leading axes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

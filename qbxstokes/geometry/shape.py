@@ -5,8 +5,6 @@ body frame is the centre, about which torque and angular velocity are meant, and
 shape is a class in a file of its own and a line in `registry.SHAPES`.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import asdict
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Symmetric tensors (..., 3, 3) by their six components, in the order 11 22 33 12 13 23."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from qbxstokes.typing import Array

@@ -8,8 +8,6 @@ holds another key than its name promises, that others than its user could have w
 arrays fail the check of whoever asks for them, is told in `problems` and counts as missing.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Of several runs that would write at one place, one holds the lock of its working folder."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import time

@@ -1,7 +1,5 @@
 """Names of result files: free ones, numbered ones, a case's newest, those that can be written."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -5,8 +5,6 @@ body that nothing pushes stays where it is. Of its state only q changes for St =
 St > 0: 4 numbers of 7, and 7 of 13. They change as in the whole equations, to the last bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

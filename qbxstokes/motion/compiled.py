@@ -6,8 +6,6 @@ functions are the loops over a block and all they call, copied and bound to each
 form. Only the loops go to the cache, with everything they call inside.
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 from collections.abc import Callable

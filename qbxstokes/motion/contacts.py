@@ -5,8 +5,6 @@ ends of a step it is followed as closely as is needed to miss no touch, and wher
 found as a root on the integrator's own states, for any number of lanes at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ A 102, 1922, eqs. 48-50): on a free orbit in shear C is constant and the phase f
 every period T = 2 pi (k + 1/k)/rate.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

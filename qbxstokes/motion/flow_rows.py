@@ -5,8 +5,6 @@ While a motion is followed they are polynomials in pieces of time, the same ones
 the block, the plain kernels and the compiled loop; before that the flows themselves are asked.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

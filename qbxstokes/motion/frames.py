@@ -1,7 +1,5 @@
 """Frames of a body and how they turn, as scalar arithmetic (see `kernels`)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from qbxstokes.motion.taylor import Matrix, Scalar, Vector

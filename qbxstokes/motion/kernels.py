@@ -13,8 +13,6 @@ commutes with scaling q, and q may be scaled to unit length at any time without 
 orbit.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from qbxstokes.motion import fore_aft

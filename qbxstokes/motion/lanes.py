@@ -3,8 +3,6 @@
 Hydrodynamics that are not a law with coefficients are asked for the motion itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 

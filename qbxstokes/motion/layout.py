@@ -9,8 +9,6 @@ Arrays of states are (n_state, columns) for the kernels and (columns, n_state) f
 column for every body of every lane, lane fastest: column body * lanes + lane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ plain functions. What all lanes share is read before the loop; the compiler leav
 on `ndim` and None.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Means of what was recorded along motions, over whole turns of each and over all of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

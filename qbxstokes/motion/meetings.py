@@ -5,8 +5,6 @@ step is found as a root on the integrator's own states, as in `contacts`. Turnin
 coordinates of all bodies are recorded besides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

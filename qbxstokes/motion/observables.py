@@ -4,8 +4,6 @@ A quantity that `quantities.RECORDABLE` lists is computed by the function that i
 under its name. To add one: a line in the list, a function here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import cached_property
 

@@ -3,8 +3,6 @@
 The table and its units are those of `simulation.wall_table`, which makes it cell by cell.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

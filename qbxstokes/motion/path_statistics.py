@@ -4,8 +4,6 @@ Functions of the loops in `paths`, compiled by numba and imported with it. Nothi
 so that memory grows neither with time nor with the number of paths.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

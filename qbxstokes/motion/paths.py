@@ -14,8 +14,6 @@ lanes have them last. No number of a path depends on the paths beside it.
 Compiled by numba, which is imported with this module.
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import math

@@ -10,8 +10,6 @@ SC11) at this place, so that no division of the trajectories changes a bit.
 The functions take numbers or arrays; `paths` compiles them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The root of a function between two places where it has different signs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 _ITERATIONS = 60

@@ -6,8 +6,6 @@ S. Kim & S. J. Karrila 1991, Microhydrodynamics, section 3.3), and the three num
 `bie.stresslet`. Everything is in the space frame; p is the axis of symmetry, arrays are (n, ...).
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

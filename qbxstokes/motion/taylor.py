@@ -5,8 +5,6 @@ Derivatives come packed, symmetric indices once: velocity u_i, gradient A_ij by 
 222 223 233 333, by i), at the flow's origin.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the motion of one body over a wall takes from its table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from qbxstokes.typing import Array

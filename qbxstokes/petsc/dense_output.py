@@ -9,8 +9,6 @@ has the states and rates of the ends and the thirds. With a radius of convergenc
 errs by 1.5e-4 (h/r)^8 at most, about what the step does: 30 right-hand sides, however many states.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

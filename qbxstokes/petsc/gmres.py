@@ -1,7 +1,5 @@
 """Solution of the integral equation by PETSc's GMRES, with the true residual checked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -9,8 +9,6 @@ itself calls for steps so short that explicit ones would be stable. Those are ta
 so far have cost as much as all that is left would cost with them: at most twice the better choice.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

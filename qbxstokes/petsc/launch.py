@@ -6,8 +6,6 @@ process has nobody to talk to. Among several, a rank that waits for others lets 
 work have its core. Other implementations of MPI do not read what is set here.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -7,8 +7,6 @@ the signature of TSRHSFunction. It finds PETSc's functions for arrays by their n
 This module imports numba, and is itself imported where blocks are compiled.
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import cache
 from types import FunctionType, ModuleType

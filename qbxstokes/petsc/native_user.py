@@ -3,8 +3,6 @@
 See `native`; the functional on the grid of the run (`bie.compiled_motion`) is all it takes.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -4,8 +4,6 @@ Where the table has no cell yet, or none can be made, it asks Python, which make
 that instant.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """Start PETSc once, with the options of the case below those of the command line."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import signal

@@ -1,7 +1,5 @@
 """A modal operator as a PETSc shell matrix, and its inverse as a PETSc shell preconditioner."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from petsc4py import PETSc

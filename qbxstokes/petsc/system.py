@@ -5,8 +5,6 @@ where they are compiled a C function of them (`native`). Implicit ones take them
 matrix with one dense block for every lane, which is inverted by itself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

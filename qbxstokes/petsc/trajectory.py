@@ -3,8 +3,6 @@
 States are (columns, n_state) as in `motion.layout`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from qbxstokes.typing import Array

@@ -3,8 +3,6 @@
 Arrays are (T, N, ...), of a single body (T, ...).
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -4,8 +4,6 @@ A parallel projection done by hand instead of matplotlib's 3-D axes: what is hid
 exactly, lengths across the line of sight are true, and vector files stay small.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise

@@ -12,8 +12,6 @@ What is drawn is told by a mapping:
     note     what is said below the name of y, or of value
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pictures of an ensemble: distributions, means over paths in time, correlation of the axis."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of the flow around a body: velocity in a plane, traction on the body, and errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path

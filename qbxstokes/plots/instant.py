@@ -1,7 +1,5 @@
 """What a field holds at an instant: where the bodies are, and how coordinates are called."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

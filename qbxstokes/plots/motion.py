@@ -1,7 +1,5 @@
 """The pictures of one trajectory: which kinds there are, and which a result calls for."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The orbit of the symmetry axis on the unit sphere; what lies behind the sphere is lighter."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which pictures a result calls for, and one of them by its name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any

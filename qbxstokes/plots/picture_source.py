@@ -1,7 +1,5 @@
 """What pictures are drawn from: results by name, with the signs and units of their quantities."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures of a dilute suspension: material functions, Lissajous curves, maps of orientations."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

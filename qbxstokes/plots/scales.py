@@ -1,7 +1,5 @@
 """Scales of axes and colours, and the cells of maps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Components of very different size are drawn in panels of their own, so that a dr
 stream is not flattened by the motion along it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 

@@ -6,8 +6,6 @@ areas of paper, so that axes that lie evenly look even. The colour is the densit
 isotropic axes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

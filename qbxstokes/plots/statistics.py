@@ -1,7 +1,5 @@
 """Many rows as few: averages with bands, and histograms, of the columns of a sweep."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -6,8 +6,6 @@ shorter, or a map where both are long. Random starts beside these: averages over
 Random starts alone: points over the orbit constant they start with, and axes on the sphere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """The traction on the bodies of a field, from two sides."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 `show` brings a view to a frame.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -17,8 +17,6 @@ Lengths are scaled by the expansion radius, so that powers neither overflow nor 
 one target (`kernel.target_specific`) is the same number at a cost of O(p) instead of O(p^2).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

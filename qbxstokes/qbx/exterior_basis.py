@@ -4,8 +4,6 @@ The same functions E_nm as in `exterior_kernel`, one number each, so that the fi
 coefficient sets at the same points is a product of matrices. Imported only when bodies couple.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

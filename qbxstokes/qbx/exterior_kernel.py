@@ -13,8 +13,6 @@ parameter, and nothing is singular at the poles. The recurrences (DLMF 14.10.3 d
 This module is compiled by numba and imported only when a field has to be evaluated.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -16,8 +16,6 @@ Everything is arithmetic on arrays of sources: a row of the operator takes a few
 than it takes to load a compiler.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Rotational symmetry leaves one target per row of the grid, mirror symmetry in z 
 and each row is independent of the others, so rows can be formed by different processes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -5,8 +5,6 @@ theta node i carries the azimuthal nodes phi_start[i]:phi_stop[i] on [0, pi], wh
 both halves of the circle.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from qbxstokes.geometry.grid import PolarNodes, gauss_legendre, polar_rule

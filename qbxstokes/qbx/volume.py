@@ -9,8 +9,6 @@ Three ways give a target its value to the tolerance asked for:
 - "expansion": QBX about a centre outside the foot of the target, down to and on the surface.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -26,8 +26,6 @@ relative to the centre and T1, T2, T3 the sums over the solid Gegenbauer polynom
 where T[q] stops at degree q. Each truncated potential still solves the Stokes equations exactly.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

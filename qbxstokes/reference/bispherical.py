@@ -16,8 +16,6 @@ unknowns. Velocities in the plane of the axis vary as cos(phi) (order 1) or not 
 Everything has mu = 1; forces and torques are those of the bodies ON the fluid.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

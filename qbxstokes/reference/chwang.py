@@ -7,8 +7,6 @@ Chwang's formulas are for prolate bodies, with eccentricity e^2 = 1 - k^2. They 
 functions of e^2 and hold for oblate ones, e^2 < 0, by continuation (L/e = 2 atan(|e|)/|e|).
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

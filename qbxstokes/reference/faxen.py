@@ -13,8 +13,6 @@ The two operators are means: sinh D/D is the mean of u(a s) over the unit sphere
 both need u on the surface alone. The semi-axes of a spheroid are (k, k, 1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -8,8 +8,6 @@ The force and torque are those of Jeffery, Lamb and Chwang; the equations
 that nothing is shared with the program that they verify.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ section 19.16; computed by duplication (B. C. Carlson 1995, Numer. Algorithms 10
 microsecond per step where importing a library of special functions takes a third of a second.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 

@@ -8,8 +8,6 @@ orbits is u = rate (x2, 0, 0); the axis is D3 = (sin theta sin phi, -sin theta c
 for Euler angles (phi, theta, psi) with R = R3(phi) R1(theta) R3(psi).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drag on a translating spheroid (Lamb, Hydrodynamics, 6th ed., art. 339; Oberbeck 1876)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -11,8 +11,6 @@ for a body free of torque, and with S1 + zeta beta^2/2 in the place of S1 for on
 (zeta the transverse resistance to rotation, beta = (1 - k^2)/(1 + k^2)).
 """
 
-from __future__ import annotations
-
 import math
 
 from qbxstokes.reference.jeffery import rotation_resistance

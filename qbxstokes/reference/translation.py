@@ -4,8 +4,6 @@ Oberbeck 1876; Lamb, Hydrodynamics (1932), art. 339; with the elliptic integrals
 spheroid through each point in Carlson's form (DLMF 19.16), so that every aspect ratio is exact.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import elliprd, elliprf

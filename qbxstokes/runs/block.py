@@ -1,7 +1,5 @@
 """One block of a sweep: start states, integration, quantities and summaries of its trajectories."""
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -10,8 +10,6 @@ polynomial flows are those of closed forms. One rank lays the file out and serve
 one rank after another. Start-up is left out, and so is what a file system of many nodes adds.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ About one body in an unbounded fluid streamlines are those of the velocity relat
 several, or by a wall, of the velocity in space, until they come to a surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

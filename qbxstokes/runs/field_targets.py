@@ -1,7 +1,5 @@
 """Points at which a field is wanted: grids by formula, piece by piece, and lists from files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

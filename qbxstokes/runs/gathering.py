@@ -5,8 +5,6 @@ safe as one part of the working folder: a thousand ranks make thousands of files
 is left at the end goes to rank 0 by a message.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

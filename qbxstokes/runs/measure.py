@@ -5,8 +5,6 @@ trajectories could share and without a cache. Without repeats (`task: body`) the
 A rank measures a body's set-up once, for the first trajectory that has this body.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

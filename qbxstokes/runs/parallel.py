@@ -1,7 +1,5 @@
 """Ranks: what rank 0 decides reaches all, work is handed out, one's failure ends the job."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

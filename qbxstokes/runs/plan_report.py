@@ -1,7 +1,5 @@
 """What a case is about and what its task needs and skips, told before the run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 Lines are for files and for the output of several processes, which MPI mixes line by line.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

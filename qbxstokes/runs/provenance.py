@@ -1,7 +1,5 @@
 """How a result was made: case, versions, options, machine."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

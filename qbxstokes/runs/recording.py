@@ -1,7 +1,5 @@
 """A motion on its way to disk: rows as they come, checkpoints, and what a resumed run needs."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

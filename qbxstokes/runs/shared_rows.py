@@ -5,8 +5,6 @@ and asks for rows when it needs them (not at all where the cache has the result)
 wait for its orders without occupying their cores.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """The summary of a task: what was solved and found, errors, times, files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from math import inf, isfinite
 from pathlib import Path

@@ -8,8 +8,6 @@ from the case alone. Scenes and blocks are numbered and made when they are asked
 grows with the number of trajectories but a few numbers per scene.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

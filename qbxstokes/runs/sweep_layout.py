@@ -1,7 +1,5 @@
 """What a sweep is of, motions or bodies, and what its result holds: columns, quantities, scales."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """What a person reads of a sweep: its plan (`--dry-run`) and its summary."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ Every rank runs the same loop: take the number of the next block, compute it, ke
 block holds does not depend on who computes it, and neither do its numbers.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What callers give, checked: each fault is one line that says what to write."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The body model by closed forms, to compare with: of the shapes that have them."""
 
-from __future__ import annotations
-
 import math
 
 from qbxstokes.bie.accuracy import model_distance

@@ -1,7 +1,5 @@
 """What is found of bodies along many paths: rates at first, means over paths and time at last."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """From a case with several bodies, or a wall, to the simulation that it writes down."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

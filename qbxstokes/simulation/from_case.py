@@ -1,7 +1,5 @@
 """A case is one way to write down a simulation: from its sections to the objects."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

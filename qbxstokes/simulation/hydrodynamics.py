@@ -1,7 +1,5 @@
 """From a body and a flow to the body model and the provider of free motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial

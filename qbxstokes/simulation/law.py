@@ -1,7 +1,5 @@
 """The hydrodynamics of one body without a motion: its law, its state in a flow, its errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A short-range repulsion between bodies, and of a wall, that keeps them apart on request."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What motions and suspensions show of themselves on a terminal: a few lines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

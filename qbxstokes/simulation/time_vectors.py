@@ -1,7 +1,5 @@
 """Vectors that a case writes down: numbers, expressions in t, a table, or a user's function."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -12,8 +12,6 @@ the resistance is singular by lubrication. A cell is then cut into pieces with p
 degree, whose values take less.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
