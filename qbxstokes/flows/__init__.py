@@ -2,23 +2,9 @@
 
 from qbxstokes.flows.base import Flow, SumFlow, add_flows
 from qbxstokes.flows.changing import ChangingFlow
-from qbxstokes.flows.check import (
-    StokesianReport,
-    check_regular,
-    check_singularities,
-    check_stokesian,
-)
+from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.flows.interpolation import Series
-from qbxstokes.flows.named import (
-    Extension,
-    Linear,
-    Paraboloid,
-    PlanePoiseuille,
-    Rotation,
-    Shear,
-    TubePoiseuille,
-    Uniform,
-)
+from qbxstokes.flows.named import Linear, Paraboloid, Shear, Uniform
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
 from qbxstokes.flows.series import GradientSeries
@@ -29,23 +15,18 @@ from qbxstokes.flows.user import UserFlow, resolve_paths
 __all__ = [
     "REGISTRY",
     "ChangingFlow",
-    "Extension",
     "Flow",
     "GradientSeries",
     "Linear",
     "Paraboloid",
-    "PlanePoiseuille",
     "PolynomialFlow",
-    "Rotation",
     "Rotlet",
     "Series",
     "Shear",
-    "StokesianReport",
     "Stokeslet",
     "Stresslet",
     "SumFlow",
     "TransformedFlow",
-    "TubePoiseuille",
     "Uniform",
     "UserFlow",
     "add_flows",

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.motion.kernels import KERNELS
 from qbxstokes.motion.lanes import PerLane
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.bie.functional import BodyModel
 
 
 class Bodies:

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.motion.frames import (
     body_axes,
     quaternion_rate_body,
@@ -38,9 +39,6 @@ from qbxstokes.motion.taylor import (
     transposed,
     velocity_and_gradient,
 )
-
-if TYPE_CHECKING:
-    from qbxstokes.bie.functional import BodyModel
 
 # Numbers of a body, and how many of them the kernels of a degree read.
 N_NUMBERS = 17

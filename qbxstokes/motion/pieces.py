@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from qbxstokes.bie.functional import BodyModel
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
@@ -36,9 +37,6 @@ from qbxstokes.motion.layout import (
 from qbxstokes.motion.loads import Constraints, LoadRows, Loads, Vectors
 from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.bie.functional import BodyModel
 
 # Parts of a run after which a flow that changes is looked at beforehand.
 _SHARES = 0.04 * np.arange(25)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from qbxstokes.bie.functional import BodyModel
+from qbxstokes.flows.base import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.frames import quaternion_rate_space
 from qbxstokes.motion.kernels import KERNELS
+from qbxstokes.motion.lanes import FreeMotion
 from qbxstokes.motion.taylor import ROWS, pack_second
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.bie.functional import BodyModel
-    from qbxstokes.flows.base import Flow
-    from qbxstokes.motion.lanes import FreeMotion
-
 
 # Calls from one look at what is neglected to the next.
 _EVERY = 50

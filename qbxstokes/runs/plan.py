@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +18,6 @@ from qbxstokes.simulation.assembly import CUT_SAMPLES, CUT_STEPS
 from qbxstokes.simulation.from_case import end_of, pointed, simulation_of, start_of, times_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    pass
-
 
 _COUPLED_SAMPLES = 51  # of bodies that share a fluid, where the case does not say
 # Of a motion alone: the compiled blocks of a sweep, general as they are, would gain nothing.

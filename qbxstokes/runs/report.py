@@ -6,16 +6,14 @@ import inspect
 import json
 import textwrap
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from qbxstokes.case.document import plain
+from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.listing import holds, units_of, unknown
-
-if TYPE_CHECKING:
-    from qbxstokes.case.load import LoadedCase
-    from qbxstokes.io.results import Result
+from qbxstokes.io.results import Result
 
 WIDTH = 80
 _LABEL = 22  # width of the column of labels, unless one of them is wider

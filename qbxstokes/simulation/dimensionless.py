@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
+from qbxstokes.simulation.body import Body
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.simulation.body import Body
 
 
 def stokes_number(

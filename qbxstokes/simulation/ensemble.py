@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
 from qbxstokes.simulation.arguments import section
+from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble_means import (
     Found,
     mean_stresses,
@@ -32,9 +33,6 @@ from qbxstokes.simulation.ensemble_means import (
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import particle_of
 from qbxstokes.typing import AnyArray, Array, Integers
-
-if TYPE_CHECKING:
-    from qbxstokes.simulation.body import Body
 
 Sums = dict[str, AnyArray]
 

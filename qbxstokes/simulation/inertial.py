@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.flows import Flow
+from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.suspension.orbits import Starts
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.simulation.body import Body
-
 
 # Samples of a turn, doubled from the first to the last; axes that turn less than this are steady.
 _FIRST, _LAST, _STILL = 512, 8192, 1e-9

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
+from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import (
     history_of,
@@ -24,9 +25,6 @@ from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History, Protocol
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.simulation.body import Body
 
 Pair = tuple[Array, Array]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.simulation.arguments import require_flow
+from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.showing import shown
@@ -23,10 +24,6 @@ from qbxstokes.suspension.history import PROTOCOLS, History, Protocol
 from qbxstokes.suspension.orbits import Starts
 from qbxstokes.suspension.particle import LinearFlow, Particle
 from qbxstokes.typing import Array
-
-if TYPE_CHECKING:
-    from qbxstokes.simulation.body import Body
-
 
 # Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.
 SAMPLES, _STRAIN = 201, 20.0
