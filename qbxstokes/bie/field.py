@@ -8,7 +8,6 @@ disturbance D[psi] + V is an `ExteriorField`, held in the body frame.
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from qbxstokes.bie.exterior import (
     layer_limit,
 )
 from qbxstokes.bie.operators import DirectSolver, SolverFactory, SurfaceOperators
+from qbxstokes.flows.base import Flow
 from qbxstokes.geometry.symmetric import components, symmetric, turned
 from qbxstokes.typing import AnyArray, Array
 
@@ -28,22 +28,6 @@ from qbxstokes.typing import AnyArray, Array
 USUAL = ("velocity", "disturbance_velocity", "pressure", "stress")
 # Targets per block: what is in memory at once.
 _BLOCK = 65_536
-
-
-class FlowField(Protocol):
-    """The part of a background flow that its field needs."""
-
-    def velocity(self, x: Array, t: float = 0.0) -> Array:
-        """Velocity (..., 3)."""
-
-    def pressure(self, x: Array, t: float = 0.0) -> Array:
-        """Pressure (...)."""
-
-    def gradient(self, x: Array, t: float = 0.0) -> Array:
-        """Velocity gradient (..., 3, 3)."""
-
-    def laplacian(self, x: Array, t: float = 0.0) -> Array:
-        """Laplacian of the velocity (..., 3), the gradient of the pressure."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +58,7 @@ class FlowAround:
     """
 
     disturbance: Disturbance
-    flow: FlowField
+    flow: Flow
     position: Array
     rotation: Array
     time: float = 0.0

@@ -11,8 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from qbxstokes.bie.exterior import ExteriorField
-from qbxstokes.bie.field import FlowAround, FlowField
+from qbxstokes.bie.field import FlowAround
 from qbxstokes.errors import CaseError
+from qbxstokes.flows.base import Flow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.typing import Array, Booleans
@@ -192,7 +193,7 @@ class MovingFlow:
     motion minus the background; its table follows from that by one product per azimuthal mode.
     """
 
-    def __init__(self, grid: SurfaceGrid, flow: FlowField, degree: int | None) -> None:
+    def __init__(self, grid: SurfaceGrid, flow: Flow, degree: int | None) -> None:
         self.grid, self.flow, self.degree = grid, flow, degree
 
     def relative_velocity(

@@ -9,7 +9,7 @@ Polynomial flows need neither: their law is `FaxenCoefficients`.
 import math
 from contextlib import suppress
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from qbxstokes.bie.functional import GridFunctional, ModalFunctional
 from qbxstokes.bie.operators import DirectSolver, Solver, SolverFactory, SurfaceOperators
 from qbxstokes.bie.resolution import MOST_NODES, flow_nodes, flow_sizes, motion_change
 from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Flow
 from qbxstokes.geometry.rotation import matrix, multiply
 from qbxstokes.typing import Array
 
@@ -27,17 +28,10 @@ _TURNS = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5]])
 _RUNGS, _MARGIN = ((3, 5), (4, 6), (4, 8), (6, 8)), 0.3
 
 
-class BackgroundFlow(Protocol):
-    """The part of a flow that the motion of the body needs."""
-
-    def velocity(self, x: Array, t: float = 0.0) -> Array:
-        """Velocity (..., 3) at points (..., 3)."""
-
-
 class GridMotion:
     """Free motion of a batch of bodies by the grid functional."""
 
-    def __init__(self, functional: GridFunctional, flow: BackgroundFlow) -> None:
+    def __init__(self, functional: GridFunctional, flow: Flow) -> None:
         self._points = functional.points
         self._weights = functional.weights
         self._flow = flow
@@ -61,14 +55,6 @@ class GridMotion:
             return velocity, np.tensordot(velocity, self._weights, axes=((1, 2), (1, 2)))
 
 
-class SingularFlow(BackgroundFlow, Protocol):
-    """A flow that knows where it is singular."""
-
-    @property
-    def singular_points(self) -> Array:
-        """Singular points (m, 3) in space."""
-
-
 class AdaptiveGridMotion:
     """Free motion in a flow with singular points, on a grid as fine as their distance asks for.
 
@@ -79,7 +65,7 @@ class AdaptiveGridMotion:
     happens.
     """
 
-    def __init__(self, functional: ModalFunctional, flow: SingularFlow, tolerance: float) -> None:
+    def __init__(self, functional: ModalFunctional, flow: Flow, tolerance: float) -> None:
         self._functional, self._flow = functional, flow
         self._tolerance, self._factor = tolerance, 1.0
         self._levels: dict[tuple[int, int], GridMotion] = {}
@@ -140,7 +126,7 @@ class MonitoredGridMotion:
     def __init__(
         self,
         functional: ModalFunctional,
-        flow: BackgroundFlow,
+        flow: Flow,
         tolerance: float,
         start: tuple[int, int],
     ) -> None:
@@ -298,7 +284,7 @@ class SolveMotion:
     def __init__(
         self,
         operators: SurfaceOperators,
-        flow: BackgroundFlow,
+        flow: Flow,
         solver: SolverFactory = DirectSolver,
     ) -> None:
         self._operators = operators

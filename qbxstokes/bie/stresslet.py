@@ -28,10 +28,10 @@ from qbxstokes.bie.accuracy import ROUNDING_FLOOR, RowFormer, parts_of, perturbe
 from qbxstokes.bie.functional import ErrorParts, GridFunctional
 from qbxstokes.bie.mobility import mobility_blocks
 from qbxstokes.bie.operators import DirectSolver, SolverFactory
-from qbxstokes.bie.providers import BackgroundFlow
 from qbxstokes.bie.resolution import MOST_NODES
 from qbxstokes.bie.rigid import rigid_modes
 from qbxstokes.errors import ConvergenceError, FlowError
+from qbxstokes.flows.base import Flow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.rotation import matrix
 from qbxstokes.geometry.shape import Revolution
@@ -301,7 +301,7 @@ class GridStress:
     def __init__(
         self,
         stresslet: Stresslet,
-        flow: BackgroundFlow,
+        flow: Flow,
         tolerance: float,
         start: tuple[int, int] = (12, 12),
     ) -> None:
