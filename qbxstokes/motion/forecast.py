@@ -21,9 +21,10 @@ WITHIN = 20.0
 AFFORDED = 30.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
 LOOSE = 1e-6
-# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF.
+# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF, of arkimex.
 STAGES = 13
 IMPLICIT_COST = 50
+_COSTS = {"rk": STAGES, "arkimex": 20 * STAGES}
 # Steps that BDF takes at least to reach its highest order.
 _START = 150
 # Steps of an implicit formula of one step after a break.
@@ -88,7 +89,8 @@ class Forecast:
         tolerance = self.tolerance(kind)
         accurate = float(self._span * tolerance ** (-1.0 / 8.0))
         if kind not in EXPLICIT_TYPES:
-            return 1.6 * accurate
+            fresh = 0 if kind == "bdf" else _FRESH * self._breaks
+            return 1.6 * accurate + fresh
         lag = self._stiff_span / self._span if self._span > 0.0 else 0.0
         lag *= max(tolerance, min(tolerance * lag, self._asked))  # as accepted of velocities
         reach = min(4.8, float(12.0 * lag ** (1.0 / 8.0)))
@@ -96,7 +98,7 @@ class Forecast:
 
     def evaluations(self, kind: str) -> float:
         """Right-hand sides, with each Jacobian counted as so many."""
-        return self.steps(kind) * (STAGES if kind in EXPLICIT_TYPES else IMPLICIT_COST)
+        return self.steps(kind) * _COSTS.get(kind, IMPLICIT_COST)
 
     @property
     def method(self) -> str:
@@ -111,7 +113,7 @@ class Forecast:
         if share * implicit < self.evaluations("rk"):
             if self._breaks * _START < self.steps("bdf"):
                 return "bdf"
-            # It would not get beyond its low orders; a step of arkimex takes as long as 20 of 8vr.
-            single = self.steps("arkimex") + _FRESH * self._breaks
-            return "8vr" if self.steps("rk") < 20.0 * single else "arkimex"
+            # It would not get beyond its low orders.
+            single = self.evaluations("arkimex")
+            return "8vr" if self.evaluations("rk") < single else "arkimex"
         return "5dp" if self.tolerance("rk") > LOOSE else "8vr"
