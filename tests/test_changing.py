@@ -38,6 +38,25 @@ def test_a_motion_is_that_of_scipy_to_ten_digits(k: float) -> None:
     assert np.abs(motion.axis[-1] - jeffery(cosines(3), k, AXIS, 8.0)).max() < 1e-10
 
 
+def test_steps_pass_samples_at_which_six_points_are_smooth_enough() -> None:
+    """Four hundred samples of slow waves; of a pulse the steps end at samples."""
+    times, body = np.linspace(0.0, 20.0, 401), qs.Body(3.0)
+    waves = np.array([cosines(3)(0.5 * t) for t in times])
+    pulse = 30.0 * np.exp(-(((times - 7.3) / 0.05) ** 2))[:, None, None] * waves[0]
+    for samples, most in ((waves, 60), (waves + pulse, 120)):
+        series = qs.GradientSeries(times, samples)
+        motion = body.integrate(
+            qs.flow("linear", gradient=series), [20.0], orientation=AXIS, tolerance=1e-6
+        )
+        exact = body.axes(series, [20.0], AXIS, tolerance=1e-12)
+        assert np.abs(motion.axis[-1] - exact[-1]).max() < 1e-6
+        assert motion.summary["steps"] < most
+    rough = series.breaks(20.0, 1e-3)
+    assert 5 < len(rough) < 40
+    assert np.abs(rough - 7.3).max() < 0.6
+    assert (len(series.breaks(20.0)), len(series.breaks(20.0, 1e-14))) == (399, 395)
+
+
 def test_pieces_are_the_function_and_end_where_it_does() -> None:
     t = np.linspace(0.0, 10.0, 2001)
     smooth = sampled(lambda s: np.cos(3.0 * s) + 30.0 * np.exp(-(((s - 7.3) / 0.05) ** 2)))

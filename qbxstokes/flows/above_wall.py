@@ -51,7 +51,7 @@ class AboveWall(Transformable):
         except FlowError as error:
             raise FlowError(str(error), ("flow", *error.key)) from None
 
-    def breaks(self, end: float) -> Array:
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those of the flow."""
         return self.flow.breaks(end)
 

@@ -40,7 +40,7 @@ class Flow(ABC):
     linear_in: ClassVar[tuple[str, ...]] = ()  # keys whose numbers may change in time (`changing`)
     length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
     recognise: bool = True  # as a polynomial, where a function is one (`flows.recognition`)
-    spacing: float = math.inf  # of instants between which the flow changes smoothly
+    spacing: float = math.inf  # longest step that misses nothing of what changes in time
 
     @abstractmethod
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
@@ -58,8 +58,11 @@ class Flow(ABC):
     def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Pressure p up to a constant, shape (...)."""
 
-    def breaks(self, end: float) -> Array:
-        """Instants (n,) between 0 and `end` at which the flow is not smooth in time."""
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """Instants (n,) between 0 and `end` at which the flow is not smooth in time.
+
+        rough: by how much a gradient of samples may be rough there without being told.
+        """
         return np.empty(0)
 
     def until(self, t: float) -> None:  # noqa: B027
@@ -302,9 +305,10 @@ class SumFlow(Flow):
         """Curl of the Laplacian (..., 3)."""
         return self._sum("vorticity_of_laplacian", x, t, reach)
 
-    def breaks(self, end: float) -> Array:
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those of all terms."""
-        return np.asarray(np.unique(np.concatenate([flow.breaks(end) for flow in self.terms])))
+        found = [flow.breaks(end, rough / len(self.terms)) for flow in self.terms]
+        return np.asarray(np.unique(np.concatenate(found)))
 
     def until(self, t: float) -> None:
         """So do all terms."""

@@ -73,9 +73,12 @@ class ChangingFlow(SumFlow):
         factors[:, : len(self.units)] = numbers
         return factors
 
-    def breaks(self, end: float) -> Array:
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those of the numbers and of the terms."""
-        return np.union1d(self.signal.breaks(end), super().breaks(end))
+        if rough > 0.0:
+            linear = self.polynomials and self.degree == 1
+            rough /= max(1.0, np.abs(self._ranks[1]).max()) if linear else np.inf
+        return np.union1d(self.signal.breaks(end, rough), super().breaks(end))
 
     def until(self, t: float) -> None:
         """Show itself, from now on, as before the break t: at t as just before it."""
@@ -153,7 +156,7 @@ class ChangingFlow(SumFlow):
 
     def of_series(self, series: Series) -> ChangingFlow:
         """The same flow of another series, where one is all that changes."""
-        part = replace(self.signal.parts[0], source=series, spacing=series.spacing)
+        part = replace(self.signal.parts[0], source=series, spacing=series.longest_step)
         return ChangingFlow(Signal([part]), self.units, self.still, self._spec)
 
     def _mapped(self, change: Callable[[Flow], Flow], **how: Any) -> ChangingFlow:
@@ -203,7 +206,7 @@ def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> Changin
     parts, units = [], []
     for key in changing:
         part, filled = _part(key, spec[key], given.get("trajectory"))
-        spacing = min(step, part.source.spacing if isinstance(part.source, Series) else step)
+        spacing = min(step, part.source.longest_step if isinstance(part.source, Series) else step)
         part = replace(part, given_breaks=lambda end: breaks[breaks < end], spacing=spacing)
         parts.append(part)
         size = int(np.prod(part.shape, dtype=int))

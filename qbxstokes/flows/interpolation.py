@@ -14,6 +14,8 @@ from qbxstokes.typing import Array, Integers
 
 INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each one takes
 OUTSIDE = "error", "clamp", "repeat"
+# Samples that a step may pass where the polynomials through six of them go over into each other.
+_SEEN = 8
 
 
 def power_weights(times: Array, interpolation: str) -> tuple[Integers, Array]:
@@ -82,9 +84,9 @@ class Series:
         return tuple(self.samples.shape[:-2])
 
     @property
-    def spacing(self) -> float:
-        """Least time between samples."""
-        return float(np.diff(self.times).min())
+    def longest_step(self) -> float:
+        """Step that misses nothing: least time between samples, or what shows at six of them."""
+        return float(np.diff(self.times).min()) * (_SEEN if self.interpolation == "sextic" else 1)
 
     def __len__(self) -> int:
         return math.prod(self.paths)
@@ -142,13 +144,37 @@ class Series:
         beyond = (t < self.times[0]) | (t > self.times[-1])
         return int(np.argmax(beyond)) if self.outside == "error" and np.any(beyond) else len(t)
 
-    def breaks(self, end: float) -> Array:
-        """The samples between 0 and `end`: between them the interpolant is a polynomial."""
+    @cached_property
+    def _roughness(self) -> Array:
+        """By how much the polynomials before and after each sample part within its intervals."""
+        found = np.full(len(self.times), np.inf)
+        (begin, weights), lengths = self._weights, np.diff(self.times)
+        powers = np.arange(weights.shape[1])
+        window = self.one[begin[:, None] + np.arange(weights.shape[2])]
+        polynomials = np.einsum("nkj,njm->nkm", weights, window)
+
+        def at(places: Array, which: slice) -> Array:
+            found: Array = np.einsum("nk,nkm->nm", places[:, None] ** powers, polynomials[which])
+            return found
+
+        middle, half = np.full(len(lengths) - 1, 0.5), 0.5 * lengths
+        behind = at(-half[:-1] / lengths[1:], slice(1, None)) - at(middle, slice(-1))
+        ahead = at(1.0 + half[1:] / lengths[:-1], slice(-1)) - at(middle, slice(1, None))
+        found[1:-1] = np.abs([behind, ahead]).max(axis=(0, 2))
+        return found
+
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """The samples between 0 and `end`: between them the interpolant is a polynomial.
+
+        rough: those alone at which it is less smooth than a gradient may be untold.
+        """
         first, last = float(self.times[0]), float(self.times[-1])
         found = self.times
+        if rough > 0.0 and self.interpolation == "sextic":
+            found = found[self._roughness > rough]
         if self.outside == "repeat":
             turns = np.arange(math.floor(-first / (last - first)), math.ceil(end / (last - first)))
-            found = np.unique(turns[:, None] * (last - first) + self.times[:-1])
+            found = np.unique(turns[:, None] * (last - first) + found[:-1])
         return found[(found > 0.0) & (found < end)]
 
     def values(self, t: Array) -> Array:

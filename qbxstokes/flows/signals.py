@@ -53,7 +53,7 @@ class Part:
     """Numbers of one source: a function of t or a series, the shape it has, and its key.
 
     gradient: whether it has to be traceless. given_breaks: instants up to one at which it is not
-    smooth, besides the samples of a series. spacing: of instants between which it is.
+    smooth, besides the samples of a series. spacing: longest step that misses nothing of it.
     """
 
     source: Callable[[float], Any] | Series
@@ -63,9 +63,10 @@ class Part:
     given_breaks: Callable[[float], Array] = lambda end: np.empty(0)
     spacing: float = math.inf
 
-    def breaks(self, end: float) -> Array:
-        """Instants up to `end` at which the numbers are not smooth."""
-        own = self.source.breaks(end) if isinstance(self.source, Series) else np.empty(0)
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """Instants up to `end` at which the numbers are not smooth, a gradient by more than so."""
+        least = rough if self.gradient else 0.0
+        own = self.source.breaks(end, least) if isinstance(self.source, Series) else np.empty(0)
         return np.concatenate([self.given_breaks(end), own])
 
     def at(self, t: float) -> Array:
@@ -120,7 +121,7 @@ class Part:
 class Signal:
     """Numbers (m,) that change in time, of parts one after the other.
 
-    spacing: of instants between which they are smooth.
+    spacing: longest step that misses nothing of them.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -140,9 +141,9 @@ class Signal:
         rules = {"interpolation": found[0].interpolation, "outside": found[0].outside}
         return Series(found[0].times, np.concatenate([s.one for s in found], axis=1), **rules)
 
-    def breaks(self, end: float) -> Array:
-        """Instants between 0 and `end` at which the numbers are not smooth."""
-        found = np.unique(np.concatenate([part.breaks(end) for part in self.parts]))
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """Instants between 0 and `end` at which the numbers are not smooth (`Part.breaks`)."""
+        found = np.unique(np.concatenate([part.breaks(end, rough) for part in self.parts]))
         return np.asarray(found[(found > 0.0) & (found < end)])
 
     def at(self, t: float) -> Array:

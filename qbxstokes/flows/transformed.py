@@ -64,7 +64,7 @@ class TransformedFlow(Flow):
     def _turn_vector(self, vector: Array) -> Array:
         return np.asarray(self.factor * (vector @ self.rotation.T))
 
-    def breaks(self, end: float) -> Array:
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those of the flow."""
         return self.flow.breaks(end)
 

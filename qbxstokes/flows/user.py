@@ -181,7 +181,7 @@ class UserFlow(Transformable):
             wrong = f"the {name} differs from that of the velocity by {off / (size or 1.0):.1g} of"
             raise FlowFunctionError(f"{wrong} its size", (name,))
 
-    def breaks(self, end: float) -> Array:
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those that were given."""
         return self._breaks[(self._breaks > 0.0) & (self._breaks < end)]
 

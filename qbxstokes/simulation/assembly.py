@@ -38,6 +38,9 @@ Maker = Callable[["Simulation", Workshop], Hydrodynamic]
 _STEPS_IN_TIME = 50.0
 # Instants at which such a flow is checked before the run.
 _INSTANTS_CHECKED = 11
+# What the roughness of samples may come to in a step, in the error that falls to it: it changes its
+# sign from sample to sample, and a step as long as it may be passes several of them.
+_ROUGH = 2.0
 _EPSILON = 2.0**-52
 # Steps of a single lane between cuts, where a run can be resumed: a fraction of a second of work
 # or some seconds, by how the free motion is found; and samples at most.
@@ -106,14 +109,21 @@ class Assembled:
             times,
             self.tolerance,
             longest_step=longest,
-            breaks=self._breaks(end),
+            breaks=self._breaks(end, longest),
             watch=FlowWatch(self, end),
             **{**limits, **settings},
         )
 
-    def _breaks(self, end: float) -> Array:
-        """Instants at which some flow is not smooth: steps end there."""
-        found = np.unique(np.concatenate([part.flow.breaks(end) for part in self.parts]))
+    def _breaks(self, end: float, longest: float | None) -> Array:
+        """Instants at which some flow is not smooth: steps end there.
+
+        A gradient may be as rough as the error allows that falls to a step.
+        """
+        rough = 0.0
+        if longest:
+            local = self.tolerance / self.equations.sensitivity(0.0, self.initial, end)
+            rough = _ROUGH * local / longest
+        found = np.unique(np.concatenate([part.flow.breaks(end, rough) for part in self.parts]))
         return found[(found > 0.0) & (found < end)]
 
     def _longest_step(self, end: float) -> float | None:
