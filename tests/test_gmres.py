@@ -13,8 +13,7 @@ from qbxstokes.qbx.operator import GradedScheme
 
 PETSc = session.start()
 
-from qbxstokes.petsc.gmres import GmresSolver  # noqa: E402  PETSc must have started
-from qbxstokes.petsc.shell import shell_matrix  # noqa: E402
+from qbxstokes.petsc.gmres import GmresSolver, shell_matrix  # noqa: E402  PETSc must have started
 
 
 @pytest.fixture(scope="module", params=[0.05, 0.5, 8.0])

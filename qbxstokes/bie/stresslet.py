@@ -26,8 +26,7 @@ import numpy as np
 
 from qbxstokes.bie.accuracy import ROUNDING_FLOOR, RowFormer, parts_of, perturbed_rows, refined
 from qbxstokes.bie.functional import ErrorParts, GridFunctional
-from qbxstokes.bie.mobility import mobility_blocks
-from qbxstokes.bie.operators import DirectSolver, SolverFactory
+from qbxstokes.bie.operators import DirectSolver, SolverFactory, mobility_blocks
 from qbxstokes.bie.resolution import MOST_NODES
 from qbxstokes.bie.rigid import rigid_modes
 from qbxstokes.errors import ConvergenceError, FlowError
