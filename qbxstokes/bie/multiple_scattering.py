@@ -33,7 +33,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -126,22 +125,39 @@ def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Gaps:
 class Coupled:
     """The linear problem of bodies at one instant.
 
-    own: the bodies whose rows this process holds; all by default. tolerance: relative, to which
-    far harmonics are left out. nodes: polar nodes of each body.
+    shares: of each process by body the circles of its grid that it holds; all by default. rank:
+    of this process. tolerance: relative, to which far harmonics are left out. nodes: polar nodes
+    of each body.
     """
 
     bodies: Sequence[Placed]
     wall: Plane | None
     nodes: Sequence[int]
     tolerance: float = 1e-12
-    own: Sequence[int] | None = None
-    _tables: dict[tuple[int, int, bool], list[tuple[Any, Table]]] = field(default_factory=dict)
+    shares: Sequence[Mapping[int, Integers]] | None = None
+    rank: int = 0
+    _tables: dict[tuple[int, int, bool], list[tuple[Integers, Table]]] = field(default_factory=dict)
     _kept: float = 0.0
+
+    @cached_property
+    def circles(self) -> Mapping[int, Integers]:
+        """Circles of the grids that this process holds, by body."""
+        if self.shares is None:
+            return {b: np.arange(n) for b, n in enumerate(self.nodes)}
+        return self.shares[self.rank]
 
     @property
     def rows(self) -> Sequence[int]:
         """Bodies of this process."""
-        return range(len(self.bodies)) if self.own is None else self.own
+        return list(self.circles)
+
+    @cached_property
+    def held(self) -> dict[int, Integers]:
+        """Points of each of them that it holds."""
+        return {
+            b: (2 * self.nodes[b] * circles[:, None] + np.arange(2 * self.nodes[b])).ravel()
+            for b, circles in self.circles.items()
+        }
 
     @cached_property
     def maps(self) -> list[Scatterer]:
@@ -149,18 +165,24 @@ class Coupled:
         return [scatterer(body.shape, n) for body, n in zip(self.bodies, self.nodes, strict=True)]
 
     @cached_property
-    def points(self) -> list[Array]:
-        """Grid points (N, 3) of each body in space."""
-        return [
-            body.position + body.size * one.grid.points @ body.rotation.T
-            for body, one in zip(self.bodies, self.maps, strict=True)
-        ]
+    def _inverses(self) -> dict[int, Array]:
+        """Parts of the maps that act on what this process holds."""
+        return {b: self.maps[b].inverse_on(circles) for b, circles in self.circles.items()}
+
+    @cached_property
+    def points(self) -> dict[int, Array]:
+        """Grid points (N, 3) in space of the bodies of this process."""
+        return {
+            b: self.bodies[b].position
+            + self.bodies[b].size * self.maps[b].grid.points @ self.bodies[b].rotation.T
+            for b in self.rows
+        }
 
     @cached_property
     def slices(self) -> list[slice]:
         """Part of each own body in the vector of unknowns."""
-        ends = np.cumsum([0] + [3 * len(self.points[b]) for b in self.rows])
-        return [slice(a, b) for a, b in pairwise(ends)]
+        ends = np.cumsum([0] + [3 * len(points) for points in self.held.values()])
+        return [slice(a, b) for a, b in pairwise(ends.tolist())]
 
     @property
     def size(self) -> int:
@@ -196,26 +218,30 @@ class Coupled:
         return change * factor + _SHARED * self.tolerance * size
 
     def split(self, x: Array) -> list[Array]:
-        """Velocities (N, 3) of the own bodies from the vector of unknowns, body frames."""
-        return [
-            x[part].reshape(-1, 3) / self.maps[b].root_weights
-            for b, part in zip(self.rows, self.slices, strict=True)
-        ]
+        """Velocities (P, 3) on what is held of each body, from the vector of unknowns."""
+        parts = zip(self._roots, self.slices, strict=True)
+        return [x[part].reshape(-1, 3) / root for root, part in parts]
 
     def joined(self, velocities: Sequence[Array]) -> Array:
         """The vector of unknowns: velocities times the roots of the quadrature weights."""
-        parts = [
-            (v * self.maps[b].root_weights).ravel()
-            for b, v in zip(self.rows, velocities, strict=True)
-        ]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        parts = [(v * root).ravel() for v, root in zip(velocities, self._roots, strict=True)]
+        return np.concatenate([np.zeros(0), *parts])
+
+    @cached_property
+    def _roots(self) -> list[Array]:
+        return [self.maps[b].root_weights[points] for b, points in self.held.items()]
 
     # -- what a body sends out ----------------------------------------------------------------
 
     @cached_property
+    def gaps(self) -> Gaps:
+        """The gaps of all pairs."""
+        return gaps_of(self.bodies, self.wall)
+
+    @cached_property
     def stages(self) -> list[list[int]]:
         """The bodies dealt to stages, those that feel each other most to different ones."""
-        n, near = len(self.bodies), gaps_of(self.bodies, self.wall)
+        n, near = len(self.bodies), self.gaps
         felt, pairs = np.zeros((n, n)), near.pairs[:, 1] >= 0
         first, second = near.pairs[pairs].T
         felt[first, second] = felt[second, first] = np.exp(-2.0 * near.rates[pairs].min(axis=1))
@@ -226,33 +252,45 @@ class Coupled:
             min(open_, key=lambda stage: (felt[body, stage].sum(), len(stage))).append(body)
         return stages
 
-    def alone(self, b: int, v: Array) -> tuple[ComplexArray, Array]:
-        """Flow of body b with boundary velocity v, and the motion alone of the same force."""
-        one = self.maps[b]
-        c = one.coefficients(v)
-        return c, one.harmonics.force_torque(c) / np.diag(one.resistance)
+    def alone(self, b: int, v: Array) -> tuple[Array, Array]:
+        """Flow of body b with velocities v on what is held of it, and its motion alone, free.
 
-    def flow(self, b: int, v: Array, free: bool) -> ComplexArray:
-        """Exterior flow of body b: E v, or M v of a free one."""
+        The motion has the same force and torque. Both are parts of sums over all processes.
+        """
+        one = self.maps[b]
+        c = one.packed(v, self._inverses[b])
+        return c, one.loads(c) / one.resistance
+
+    def flow(self, b: int, v: Array, free: bool) -> Array:
+        """Exterior flow of body b, packed: E v, or M v of a free one; a part as in `alone`."""
         c, motion = self.alone(b, v)
         return c - np.tensordot(motion, self.maps[b].rigid_flows, 1) if free else c
 
     # -- what arrives -------------------------------------------------------------------------
 
-    def _tables_on(self, c: int, b: int, mirrored: bool) -> Iterable[tuple[Any, Table]]:
-        """Harmonics of body c at parts of body b's grid, of fewer degrees where it is farther."""
+    def _tables_on(self, c: int, b: int, mirrored: bool) -> Iterable[tuple[Integers, Table]]:
+        """Harmonics of body c on what is held of body b, of fewer degrees where it is farther.
+
+        In parts of the grid that are the same whoever holds them.
+        """
         key = (c, b, mirrored)
         if key in self._tables:
             return self._tables[key]
-        parts: list[Any] = [slice(None)]
-        large = len(self.points[b]) > _TOGETHER
+        held, large = self.held[b], len(self.points[b]) > _TOGETHER
         degrees, x = self._degrees(c, self.points[b], mirrored, _CLOSER if large else 1.0)
+        parts: list[Integers] = [np.arange(len(x))]
         if large:
-            order = np.argsort(-degrees, kind="stable")
-            parts = np.array_split(order, 8 * len(x) // _TOGETHER)
-        harmonics = self.maps[c].harmonics
-        made = ((p, harmonics.table(x[p], int(degrees[p].max()), mirrored)) for p in parts)
-        size = (10 if mirrored else 4) * sum((d := degrees[p]).size * d.max() ** 2 for p in parts)
+            parts = np.array_split(np.argsort(-degrees, kind="stable"), 8 * len(x) // _TOGETHER)
+        highest = [int(degrees[part].max()) for part in parts]
+        if len(held) < len(x):
+            place = np.full(len(x), -1)
+            place[held] = np.arange(len(held))
+            parts = [place[part] for part in parts]
+            parts = [part[part >= 0] for part in parts]
+        harmonics, x = self.maps[c].harmonics, x[held]
+        some = [(p, d) for p, d in zip(parts, highest, strict=True) if len(p)]
+        made = ((p, harmonics.table(x[p], d, mirrored)) for p, d in some)
+        size = (10 if mirrored else 4) * sum(len(p) * d * d for p, d in some)
         if self._kept + size < KEPT_NUMBERS:
             self._kept += size
             self._tables[key] = list(made)
@@ -271,9 +309,9 @@ class Coupled:
         return self.maps[c].degrees_for(x, tolerance), x
 
     def reflected(
-        self, c: int, flow: ComplexArray, points: Array, table: Table | None = None
+        self, c: int, flow: Array, points: Array, table: Table | None = None
     ) -> tuple[Array, Array]:
-        """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's flow."""
+        """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's packed flow."""
         assert self.wall is not None
         if table is None:
             degrees, x = self._degrees(c, points, True)
@@ -288,16 +326,16 @@ class Coupled:
         pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)
         return sum_ - u @ turn.T, pressure
 
-    def arriving(self, b: int, flows: Mapping[int, ComplexArray]) -> Array:
-        """Velocity (N, 3) on body b, in its frame, of the flows of bodies and the wall's answers.
+    def arriving(self, b: int, flows: Mapping[int, Array]) -> Array:
+        """Velocity (P, 3) on what is held of body b, in its frame, of packed flows.
 
-        flows: by body; its own arrives by the wall alone.
+        flows: by body, with the wall's answers; its own arrives by the wall alone.
         """
-        points = self.points[b]
+        points = self.points[b][self.held[b]]
         total = np.zeros((len(points), 3))
         for c, flow in flows.items():
             for part, table in self._tables_on(c, b, False) if c != b else ():
-                total[part] += table.velocity(flow) @ self.bodies[c].rotation.T
+                table.add_velocity(flow, self.bodies[c].rotation, part, total)
             for part, table in self._tables_on(c, b, True) if self.wall is not None else ():
                 total[part] += self.reflected(c, flow, points[part], table)[0]
         return total @ self.bodies[b].rotation
@@ -305,8 +343,11 @@ class Coupled:
     # -- data and results ---------------------------------------------------------------------
 
     def background(self, velocity: Callable[[Array], Array]) -> list[Array]:
-        """A flow of space on the own bodies' grids, in their frames."""
-        return [velocity(self.points[b]) @ self.bodies[b].rotation for b in self.rows]
+        """A flow of space on what is held of each body, in their frames."""
+        return [
+            velocity(self.points[b][held]) @ self.bodies[b].rotation
+            for b, held in self.held.items()
+        ]
 
     def to_body(self, b: int, motion: Array, forces: bool = False) -> Array:
         """Velocities (6,) of space, or force and torque, in the frame and units of body b's map."""
@@ -325,12 +366,12 @@ class Coupled:
         return np.concatenate([linear, angular / body.size])
 
     def rigid_data(self, b: int, motion: Array) -> Array:
-        """Rigid motion (6,) of space on the grid of body b, in its frame."""
-        return np.tensordot(self.to_body(b, motion), self.maps[b].rigid, 1)
+        """Rigid motion (6,) of space on what is held of body b, in its frame."""
+        return np.tensordot(self.to_body(b, motion), self.maps[b].rigid[:, self.held[b]], 1)
 
-    def force(self, b: int, flow: ComplexArray) -> Array:
-        """Force and torque (6,) that body b exerts on the fluid, in space."""
-        return self.to_space(b, self.maps[b].harmonics.force_torque(flow), forces=True)
+    def force(self, b: int, flow: Array) -> Array:
+        """Force and torque (6,) that body b with a packed flow exerts on the fluid, in space."""
+        return self.to_space(b, self.maps[b].loads(flow), forces=True)
 
     def stresslet(self, b: int, flow: ComplexArray) -> Array:
         """Stresslet (3, 3) of body b in space: sym-traceless first moment of the traction on it."""
@@ -339,9 +380,9 @@ class Coupled:
         d = 0.5 * (d + d.T) - np.trace(d) / 3.0 * np.eye(3)
         return np.asarray(body.rotation @ d @ body.rotation.T)
 
-    def loaded(self, b: int, load: Array) -> tuple[Array, ComplexArray]:
-        """Motion alone (6,), map's units, of body b under a load (6,) of space; and its flow."""
-        motion = self.to_body(b, load, forces=True) / np.diag(self.maps[b].resistance)
+    def loaded(self, b: int, load: Array) -> tuple[Array, Array]:
+        """Motion alone (6,), map's units, of body b under a load (6,) of space; its packed flow."""
+        motion = self.to_body(b, load, forces=True) / self.maps[b].resistance
         return motion, np.tensordot(motion, self.maps[b].rigid_flows, 1)
 
 

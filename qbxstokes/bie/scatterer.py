@@ -14,7 +14,9 @@ import numpy as np
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import SurfaceToExterior
-from qbxstokes.typing import Array, ComplexArray, Integers
+from qbxstokes.typing import Array, Integers
+
+_LOW = 6  # numbers of degrees 0 and 1, which hold force and torque
 
 
 class Scatterer(SurfaceToExterior):
@@ -31,14 +33,25 @@ class Scatterer(SurfaceToExterior):
 
     @cached_property
     def resistance(self) -> Array:
-        """Resistance (6, 6) of the body alone: (force, torque) on the fluid per velocity."""
-        columns = [self.harmonics.force_torque(flow) for flow in self.rigid_flows]
-        return np.diag(np.diag(np.stack(columns, axis=1)))
+        """Diagonal (6,) of the resistance of the body alone: (force, torque) on the fluid."""
+        return np.array([self.loads(flow)[i] for i, flow in enumerate(self.rigid_flows)])
 
     @cached_property
-    def rigid_flows(self) -> ComplexArray:
-        """Flows (6, ...) of the rigid motions."""
-        return np.stack([self.coefficients(v) for v in self.rigid])
+    def rigid_flows(self) -> Array:
+        """Packed flows (6, ...) of the rigid motions."""
+        return np.stack([self.packed(v, self.inverse) for v in self.rigid])
+
+    def loads(self, flow: Array) -> Array:
+        """Force and torque (6,) on the fluid of a packed flow, body frame."""
+        return self._loads @ flow[:, :_LOW].ravel()
+
+    @cached_property
+    def _loads(self) -> Array:
+        """Force and torque (6, 4 * _LOW) of the lowest coefficients, packed."""
+        units = np.zeros((4 * _LOW, 4, self.rigid_flows.shape[2]))
+        units[:, :, :_LOW] = np.eye(4 * _LOW).reshape(-1, 4, _LOW)
+        h = self.harmonics
+        return np.stack([h.force_torque(h.unpacked(unit)) for unit in units], axis=1)
 
     @cached_property
     def root_weights(self) -> Array:

@@ -1,8 +1,9 @@
 """The coupled problem of several bodies as a PETSc shell matrix, solved by GMRES.
 
 The one-body inverses are inside the matrix (`bie.multiple_scattering`), which is the identity plus
-a compact operator. Bodies are dealt to the ranks of a communicator; at each product they gather
-the coefficients of all bodies' exterior flows and each evaluates them on its own bodies. Ranks wait
+a compact operator. Bodies, and circles of the grids of those that are too much for one rank, are
+dealt to the ranks of a communicator; at each product they gather the coefficients of all bodies'
+exterior flows, sums over whoever holds a part, and each evaluates them on what it holds. Ranks wait
 for each other asleep: the machine may have other work.
 """
 
@@ -13,25 +14,27 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qbxstokes.bie.multiple_scattering import Coupled
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.petsc.launch import finish_asleep
 from qbxstokes.petsc.session import start, temporary_options
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.typing import Array, Integers
 
 PETSc = start()  # no process by itself waits for others to join it
 
 _RESTART = 200
 # Seconds between looks of a rank that waits for others in a solve, and before it sleeps at all.
 PAUSE, AWAKE = 2e-5, 1e-4
+# How much more than its share of the work a rank may get before bodies are cut; what a flow of n
+# nodes takes over n^3, and what a call takes, in harmonics at points.
+_SLACK, _OF_A_NODE, _OF_A_CALL = 1.03, 8.0, 2000.0
 
 
 class CoupledSolver:
     """GMRES on a coupled problem; options `-ksp_*` apply. Right-hand sides one after the other.
 
-    problem: with the bodies of this rank as its own, see `dealt`. free: bodies under given
+    problem: with the shares of the ranks, see `dealt`. free: bodies under given
     loads, else of given motion. tolerance: of the residual relative to the data.
     """
 
@@ -43,7 +46,6 @@ class CoupledSolver:
         self._mpi = self.comm.tompi4py() if self.comm.getSize() > 1 else None
         if self._mpi is not None:
             finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
-            self._shares = dealt(problem, self.comm.getSize())
         self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
         self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
@@ -58,34 +60,35 @@ class CoupledSolver:
             ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
 
-    def gathered(self, own: Mapping[int, NDArray[Any]], bodies: Sequence[int], shape: Any) -> Any:
-        """Begin to gather arrays of some bodies; returns what waits for them, all by body.
+    def gathered(self, own: Mapping[int, Array], bodies: Sequence[int], shape: Any) -> Any:
+        """Begin to sum arrays of some bodies over the ranks; returns what waits for them, by body.
 
-        own: of this rank's among them. shape: that of each, a function of the body.
+        own: this rank's parts of them. shape: that of each, a function of the body.
         """
         if self._mpi is None:
             return lambda: own
-        order = [[b for b in share if b in bodies] for share in self._shares]
+        order = [[b for b in share if b in bodies] for share in self.problem.shares or ()]
         counts = [sum(math.prod(shape(b)) for b in some) for some in order]
-        mine = np.concatenate([np.zeros(0), *(a.ravel() for a in own.values())], dtype=complex)
-        whole = np.empty(sum(counts), dtype=complex)
+        mine = np.concatenate([np.zeros(0), *(own[b].ravel() for b in order[self._mpi.rank])])
+        whole = np.empty(sum(counts))
         request = self._mpi.Iallgatherv(mine, [whole, counts])
 
-        def wait() -> dict[int, NDArray[Any]]:
+        def wait() -> dict[int, Array]:
             finish_asleep(request, PAUSE, AWAKE)
-            found, begin = {}, 0
+            found, begin = dict[int, Array](), 0
             for b in (b for some in order for b in some):
                 end = begin + math.prod(shape(b))
-                found[b], begin = whole[begin:end].reshape(shape(b)), end
+                part, begin = whole[begin:end].reshape(shape(b)), end
+                found[b] = found[b] + part if b in found else part
             return found
 
         return wait
 
-    def swept(self, unknowns: Array) -> tuple[dict[int, Array], dict[int, ComplexArray]]:
-        """Velocities of the own bodies, met by what earlier stages send, and flows of all."""
-        problem, flows = self.problem, dict[int, ComplexArray]()
+    def swept(self, unknowns: Array) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Velocities here, met by what earlier stages send, and the packed flows of all."""
+        problem, flows = self.problem, dict[int, Array]()
         own = dict(zip(problem.rows, problem.split(unknowns), strict=True))
-        wait: Callable[[], dict[int, ComplexArray]] = dict
+        wait: Callable[[], dict[int, Array]] = dict
         for stage in problem.stages:
             mine = [b for b in problem.rows if b in stage]
             for b in mine:  # while the latest flows are on their way
@@ -111,7 +114,7 @@ class CoupledSolver:
             finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
 
     def solve(self, data: list[Array], guess: Array | None = None) -> Array:
-        """Unknowns of the own bodies, for `swept`, from data (N, 3) on each.
+        """Unknowns held here, for `swept`, from data (P, 3) on what is held of each body.
 
         Raises ConvergenceError.
         """
@@ -142,20 +145,49 @@ class CoupledSolver:
         self._rhs.destroy()
 
 
-def dealt(problem: Coupled, ranks: int) -> list[list[int]]:
-    """Bodies of each rank: of each stage the costly ones dealt first, to who has least so far."""
-    points = np.array(problem.nodes) ** 2  # at which the flows of all others are summed
-    cost = points * (points.sum() - points) + 1.0
-    shares: list[list[int]] = [[] for _ in range(ranks)]
-    whole = np.zeros(ranks)
+def dealt(problem: Coupled, ranks: int) -> list[dict[int, Integers]]:
+    """What each rank holds: circles of the grids, by body.
+
+    Of each stage bodies are dealt whole, the costly ones first, to who has least so far; those that
+    are more than what is left of a rank's share of the work, circle by circle.
+    """
+    shares: list[dict[int, list[int]]] = [{} for _ in range(ranks)]
+    cost, whole = _costs(problem), np.zeros(ranks)
     for stage in problem.stages:
-        load = np.zeros(ranks)
-        for b in sorted(stage, key=lambda b: (-cost[b], b)):
+        load, cut = np.zeros(ranks), []
+        most = _SLACK * float(cost[stage].sum()) / ranks
+
+        def give(b: int, circles: Sequence[int], load: Array = load) -> None:
             rank = min(range(ranks), key=lambda rank: (load[rank], whole[rank]))
-            load[rank] += cost[b]
-            whole[rank] += cost[b]
-            shares[rank].append(b)
-    return [sorted(share) for share in shares]
+            for total in (load, whole):
+                total[rank] += cost[b] * len(circles) / problem.nodes[b]
+            shares[rank].setdefault(b, []).extend(circles)
+
+        for b in sorted(stage, key=lambda b: (-cost[b], b)):
+            if load.min() + cost[b] <= most:
+                give(b, range(problem.nodes[b]))
+            else:
+                cut.append(b)
+        for b in cut:
+            for circle in range(problem.nodes[b]):
+                give(b, [circle])
+    return [{b: np.array(share[b]) for b in sorted(share)} for share in shares]
+
+
+def _costs(problem: Coupled) -> Array:
+    """Work that each body is, in harmonics at points: what arrives at it and what it sends."""
+    n, gaps = np.array(problem.nodes), problem.gaps
+    reach = np.array([body.size * body.shape.radius for body in problem.bodies])
+    cost = _OF_A_NODE * n**3.0
+    for side in (0, 1):
+        here, there = gaps.pairs[:, side], gaps.pairs[:, 1 - side]
+        between = (here >= 0) & (there >= 0)
+        b, c = here[between], there[between]
+        degrees = -math.log(problem.tolerance) / np.log1p(gaps.gap[between] / reach[c]) + 2.0
+        np.add.at(cost, b, 2.0 * n[b] ** 2 * np.minimum(n[c], degrees) ** 2 + _OF_A_CALL)
+    if problem.wall is not None:
+        cost += 5.0 * n**2 * (n**2).sum() + _OF_A_CALL * len(n)
+    return cost
 
 
 def over(comm: Any) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.geometry.symmetric import PLACES
-from qbxstokes.typing import Array, ComplexArray, Indices
+from qbxstokes.typing import Array, ComplexArray, Integers
 
 
 @dataclass(frozen=True)
@@ -160,17 +160,34 @@ class Harmonics:
         from qbxstokes.qbx.exterior_basis import tabulate
 
         orders = min(degree + 1, self.orders)
-        rows, columns = _triangle(orders, degree)
+        rows, columns, start = triangle(orders, degree)
         values = np.empty((10 if second else 4, len(points), 2 * len(rows)))
         points, k = np.ascontiguousarray(points), self.ratio_of_axes
-        tabulate(points, k, degree, orders, self.recurrence, second, values)
+        tabulate(points, k, degree, orders, start, self.recurrence, second, values)
         return Table(points, values, rows, columns)
+
+    def packed(self, c: ComplexArray) -> Array:
+        """Coefficients (4, orders, degree + 1) as real and imaginary parts (4, 2 K), interleaved.
+
+        Degree by degree and in one by orders m <= n, so that lower degrees come first.
+        """
+        rows, columns, _ = triangle(self.orders, self.degree)
+        return np.ascontiguousarray(c[:, rows, columns]).view(np.float64)
+
+    def unpacked(self, flat: Array) -> ComplexArray:
+        """The inverse of `packed`."""
+        rows, columns, _ = triangle(self.orders, self.degree)
+        c = np.zeros((4, self.orders, self.degree + 1), dtype=np.complex128)
+        c[:, rows, columns] = np.ascontiguousarray(flat).view(np.complex128)
+        return c
 
 
 @lru_cache(maxsize=256)
-def _triangle(orders: int, degree: int) -> tuple[Indices, Indices]:
-    m, n = np.meshgrid(np.arange(orders), np.arange(degree + 1), indexing="ij")
-    return m[n >= m], n[n >= m]
+def triangle(orders: int, degree: int) -> tuple[Integers, Integers, Integers]:
+    """Orders and degrees (K,) of the harmonics in packed coefficients, and where degrees begin."""
+    n, m = np.meshgrid(np.arange(degree + 1), np.arange(orders), indexing="ij")
+    start = np.cumsum([0, *np.minimum(np.arange(degree) + 1, orders)])
+    return m[n >= m], n[n >= m], start
 
 
 @dataclass(frozen=True)
@@ -179,37 +196,31 @@ class Table:
 
     points: Array
     values: Array
-    rows: Indices
-    columns: Indices
+    rows: Integers
+    columns: Integers
 
-    def _flat(self, c: ComplexArray) -> Array:
-        """Real and imaginary parts (4, 2 K), interleaved."""
-        return np.ascontiguousarray(c[:, self.rows, self.columns]).view(np.float64)
+    def add_velocity(self, c: Array, turn: Array, at: Integers, total: Array) -> None:
+        """Add to rows `at` (P,) of total the velocity of packed c, turned by a matrix (3, 3)."""
+        from qbxstokes.qbx.exterior_basis import add_velocities
 
-    def velocity(self, c: ComplexArray) -> Array:
-        """Velocity (P, 3)."""
-        from qbxstokes.qbx.exterior_basis import velocities
+        add_velocities(self.points, self.values, c, turn, at, total)
 
-        found = np.empty((len(self.points), 3))
-        velocities(np.ascontiguousarray(self.points), self.values, self._flat(c), found)
-        return found
-
-    def mirrored(self, c: ComplexArray, normal: Array) -> tuple[Array, Array, Array, Array]:
+    def mirrored(self, c: Array, normal: Array) -> tuple[Array, Array, Array, Array]:
         """What a wall's answer is made of, with second derivatives: u, grad(u . N), grad p, p.
 
-        normal (3,): N, in the body frame.
+        c: packed, of this degree or more. normal (3,): N, in the body frame.
         """
         from qbxstokes.qbx.exterior_basis import mirrored
 
         found = np.empty((len(self.points), 10))
-        points, direction = map(np.ascontiguousarray, (self.points, normal))
-        mirrored(points, self.values, self._flat(c), direction, found)
+        mirrored(self.points, self.values, c, np.ascontiguousarray(normal), found)
         return found[:, :3], found[:, 3:6], found[:, 6:9], found[:, 9]
 
     def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
         """Velocity and pressure, with second derivatives all of WHAT but the stress."""
         n, count = self.values.shape[:2]
-        s = (self.values.reshape(n * count, -1) @ self._flat(c).T).reshape(n, count, 4)
+        flat = np.ascontiguousarray(c[:, self.rows, self.columns]).view(np.float64)
+        s = (self.values.reshape(n * count, -1) @ flat.T).reshape(n, count, 4)
         first = s[1:4]
         found = {
             "velocity": s[0, :, :3]

@@ -20,9 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from qbxstokes.geometry.grid import SurfaceGrid
-from qbxstokes.qbx.confocal import Harmonics
-from qbxstokes.qbx.modes import to_modes
-from qbxstokes.typing import Array, ComplexArray
+from qbxstokes.qbx.confocal import Harmonics, triangle
+from qbxstokes.typing import Array, ComplexArray, Integers
 
 # What a Stokes flow is asked for at points, and the shape of it at each: d u_i / d x_j is
 # gradient[i, j], stress the components xx, yy, zz, xy, xz, yz.
@@ -141,9 +140,9 @@ class SurfaceToExterior:
         return (self.grid.n_phi + 1) // 2
 
     @property
-    def shape_of_flows(self) -> tuple[int, int, int]:
-        """Shape of the coefficients of a flow."""
-        return 4, self.harmonics.orders, self.harmonics.degree + 1
+    def shape_of_flows(self) -> tuple[int, int]:
+        """Shape of the packed coefficients of a flow."""
+        return 4, 2 * len(triangle(self.harmonics.orders, self.harmonics.degree)[0])
 
     @cached_property
     def _scale(self) -> Array:
@@ -167,23 +166,30 @@ class SurfaceToExterior:
 
     def coefficients(self, velocity: Array) -> ComplexArray:
         """Coefficients (4, orders, degree + 1) of B_x, B_y, B_z and C from velocity (N, 3)."""
-        h, (inverse, moments) = self.harmonics, self._blocks
-        count, size = len(inverse), self.degree + 1
-        modes = to_modes(velocity, self.grid.n_theta, self.grid.n_phi)[:count]
-        density = _applied(inverse, modes)
-        twice = np.where(np.arange(count) > 0, 2.0, 1.0)[:, None]
-        c = np.zeros((4, h.orders, h.degree + 1), dtype=np.complex128)
-        c[3, :count] = twice * _applied(moments, density)
-        # B_x + i B_y of orders m + 1 and, from the conjugate modes, -(m - 1).
-        plus, minus, axial = np.moveaxis(density.reshape(count, 3, size), 1, 0)
-        a = plus * h.gain[1 : count + 1, :size]
-        c[0, 1 : count + 1, :size] += a
-        c[1, 1 : count + 1, :size] -= 1j * a
-        a = minus[1:] * h.gain[: count - 1, :size]
-        c[0, : count - 1, :size] += a
-        c[1, : count - 1, :size] += 1j * a
-        c[2, :count, :size] += twice * axial * h.gain[:count, :size]
-        return c
+        return self.harmonics.unpacked(self.packed(velocity, self.inverse))
+
+    def packed(self, velocity: Array, inverse: Array) -> Array:
+        """The packed coefficients from velocities on some of the circles, inverse those of them."""
+        from qbxstokes.qbx.exterior_kernel import exterior
+
+        h = self.harmonics
+        start, flow = triangle(h.orders, h.degree)[2], np.zeros(self.shape_of_flows)
+        velocity = np.ascontiguousarray(velocity).reshape(-1, self.grid.n_phi, 3)
+        exterior(velocity, inverse, self._blocks[1], h.gain, start, flow)
+        return flow
+
+    @property
+    def inverse(self) -> Array:
+        """The part of the map that acts on velocities."""
+        return self._blocks[0]
+
+    def inverse_on(self, circles: Integers) -> Array:
+        """What of it acts on velocities on some circles of the grid."""
+        whole = self.inverse
+        if len(circles) == self.grid.n_theta:
+            return whole
+        parts = whole.reshape(*whole.shape[:2], 3, -1)[..., circles]
+        return np.ascontiguousarray(parts).reshape(*whole.shape[:2], -1)
 
     def flow(self, velocity: Array) -> ExteriorFlow:
         """The exterior flow with the given velocity (N, 3) on the surface, without net flux."""
@@ -230,9 +236,3 @@ class SurfaceToExterior:
         x, w = np.polynomial.legendre.leggauss(self.degree + 3)
         theta = np.arccos(-x)
         return theta, w, self.harmonics.polar(theta)
-
-
-def _applied(blocks: Array, modes: ComplexArray) -> ComplexArray:
-    """Real blocks (M, a, b) on complex modes (M, b)."""
-    parts = np.ascontiguousarray(modes).view(np.float64).reshape(*modes.shape, 2)
-    return np.ascontiguousarray(blocks @ parts).view(np.complex128)[..., 0]

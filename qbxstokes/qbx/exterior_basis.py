@@ -20,12 +20,13 @@ def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=compiled_are_kept())
-def tabulate(points, k, degree, orders, recurrence, second, table):  # type: ignore[no-untyped-def]
+def tabulate(points, k, degree, orders, start, recurrence, second, table):  # type: ignore[no-untyped-def]
     """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
 
     Rows: E, its three first derivatives and, if second, xx, yy, zz, xy, xz, yz. Columns: real part
-    and minus the imaginary part of E_nm for m < orders, m <= n <= degree, n fastest, so that
-    Re(sum c E) is the product with the real and imaginary parts of c, interleaved.
+    and minus the imaginary part of E_nm for n <= degree, m <= n, m < orders, m fastest, degree n
+    from the harmonic start[n] on, so that Re(sum c E) is the product with the real and imaginary
+    parts of c, interleaved.
     """
     inverse_ratio, rise, fall, diagonal = recurrence
     e2 = (1.0 - k) * (1.0 + k)
@@ -39,13 +40,13 @@ def tabulate(points, k, degree, orders, recurrence, second, table):  # type: ign
         g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
         gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
         zk, w, w1, w2 = complex(x, y) / k, complex(1.0, 0.0), nothing, nothing
-        start, column = 1.0, 0
+        first = 1.0
         for m in range(orders):
-            q = start
+            q = first
             p, pd, pdd = diagonal[m], 0.0, 0.0
             p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
             for n in range(m, degree + 1):
-                r = ratio[m, n]
+                r, column = ratio[m, n], 2 * (start[n] + m)
                 q *= r * inverse_ratio[m, n]
                 qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
                 f, fg, fh = q * p, qg * p, q * pd
@@ -66,7 +67,6 @@ def tabulate(points, k, degree, orders, recurrence, second, table):  # type: ign
                     put(table, 7, i, column, xy)
                     put(table, 8, i, column, xz)
                     put(table, 9, i, column, yz)
-                column += 2
                 up, down = rise[m, n], fall[m, n]
                 p, p_last, pd, pd_last, pdd, pdd_last = (
                     *(up * eta * p - down * p_last, p),
@@ -74,25 +74,27 @@ def tabulate(points, k, degree, orders, recurrence, second, table):  # type: ign
                     *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
                 )
             w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
-            start *= k * k / alpha2
+            first *= k * k / alpha2
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
-def velocities(points, table, c, velocity):  # type: ignore[no-untyped-def]
-    """Fill the velocities (P, 3) of the flow u_i = E B_i + d_i E (C - x . B), summed over E.
+def add_velocities(points, table, c, turn, at, total):  # type: ignore[no-untyped-def]
+    """Add the turned velocities of u_i = E B_i + d_i E (C - x . B), summed over E, to total[at].
 
-    table: of `tabulate`; c (4, 2 K): real and imaginary parts of B_x, B_y, B_z and C, interleaved.
+    table: of `tabulate`; c (4, 2 K), of its harmonics or more: real and imaginary parts of B_x,
+    B_y, B_z and C, interleaved; turn (3, 3); at (P,).
     """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u, v, w = 0.0, 0.0, 0.0
-        for j in range(c.shape[1]):
+        for j in range(table.shape[2]):
             s = c[3, j] - x * c[0, j] - y * c[1, j] - z * c[2, j]
             e = table[0, i, j]
             u += e * c[0, j] + table[1, i, j] * s
             v += e * c[1, j] + table[2, i, j] * s
             w += e * c[2, j] + table[3, i, j] * s
-        velocity[i, 0], velocity[i, 1], velocity[i, 2] = u, v, w
+        for a in range(3):
+            total[at[i], a] += turn[a, 0] * u + turn[a, 1] * v + turn[a, 2] * w
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
@@ -107,7 +109,7 @@ def mirrored(points, table, c, normal, found):  # type: ignore[no-untyped-def]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u0, u1, u2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         q0, q1, q2, p = 0.0, 0.0, 0.0, 0.0
-        for j in range(c.shape[1]):
+        for j in range(table.shape[2]):
             b0, b1, b2 = c[0, j], c[1, j], c[2, j]
             s = c[3, j] - x * b0 - y * b1 - z * b2
             e, e0, e1, e2 = table[0, i, j], table[1, i, j], table[2, i, j], table[3, i, j]

@@ -263,3 +263,71 @@ def evaluate(  # type: ignore[no-untyped-def]
             stress[i, 0], stress[i, 3] = 2.0 * (div + fxx), 2.0 * fxy
             stress[i, 1], stress[i, 4] = 2.0 * (div + fyy), 2.0 * fxz
             stress[i, 2], stress[i, 5] = 2.0 * (div + fzz), 2.0 * fyz
+
+
+@njit(cache=compiled_are_kept(), fastmath=True)
+def exterior(velocity, inverse, moments, gain, start, out):  # type: ignore[no-untyped-def]
+    """Add to out (4, 2 K), packed, the flow of velocities (T, n_phi, 3) on circles of the surface.
+
+    inverse (modes, 3 S, 3 T): density from velocity, and moments (modes, degree + 1, 3 S): C from
+    density, see `exterior.SurfaceToExterior`; gain, start: of the harmonics.
+    """
+    circles, n_phi = velocity.shape[0], velocity.shape[1]
+    modes, size, degree = inverse.shape[0], inverse.shape[1] // 3, moments.shape[1] - 1
+    angle = 2.0 * math.pi / n_phi * np.arange(n_phi)
+    c, s = np.cos(angle), np.sin(angle)
+    around = np.empty((3, circles, n_phi))
+    for t in range(circles):
+        for j in range(n_phi):
+            x, y = velocity[t, j, 0] / n_phi, velocity[t, j, 1] / n_phi
+            around[0, t, j], around[1, t, j] = c[j] * x + s[j] * y, c[j] * y - s[j] * x
+            around[2, t, j] = velocity[t, j, 2] / n_phi
+    re, im = np.empty(3 * circles), np.empty(3 * circles)
+    density = np.empty((3 * size, 2))
+    of_cosine, of_sine = np.empty(n_phi), np.empty(n_phi)
+    for m in range(modes):
+        for j in range(n_phi):
+            of_cosine[j], of_sine[j] = c[m * j % n_phi], s[m * j % n_phi]
+        for part in range(3):
+            for t in range(circles):
+                a, b = 0.0, 0.0
+                for j in range(n_phi):
+                    a += around[part, t, j] * of_cosine[j]
+                    b -= around[part, t, j] * of_sine[j]
+                # The part along phi is divided by i.
+                row = part * circles + t
+                re[row], im[row] = (b, -a) if part == 1 else (a, b)
+        for i in range(3 * size):
+            a, b = 0.0, 0.0
+            for row in range(3 * circles):
+                a += inverse[m, i, row] * re[row]
+                b += inverse[m, i, row] * im[row]
+            density[i, 0], density[i, 1] = a, b
+        twice = 2.0 if m > 0 else 1.0
+        for n in range(m, degree + 1):
+            a, b = 0.0, 0.0
+            for i in range(3 * size):
+                a += moments[m, n, i] * density[i, 0]
+                b += moments[m, n, i] * density[i, 1]
+            column = 2 * (start[n] + m)
+            out[3, column] += twice * a
+            out[3, column + 1] += twice * b
+        # B_x + i B_y of orders m + 1 and, from the conjugate modes, -(m - 1).
+        for n in range(m + 1, size):
+            a, b = gain[m + 1, n] * density[n, 0], gain[m + 1, n] * density[n, 1]
+            column = 2 * (start[n] + m + 1)
+            out[0, column] += a
+            out[0, column + 1] += b
+            out[1, column] += b
+            out[1, column + 1] -= a
+        for n in range(m - 1 if m > 0 else size, size):
+            a, b = gain[m - 1, n] * density[size + n, 0], gain[m - 1, n] * density[size + n, 1]
+            column = 2 * (start[n] + m - 1)
+            out[0, column] += a
+            out[0, column + 1] += b
+            out[1, column] -= b
+            out[1, column + 1] += a
+        for n in range(m, size):
+            column, g = 2 * (start[n] + m), twice * gain[m, n]
+            out[2, column] += g * density[2 * size + n, 0]
+            out[2, column + 1] += g * density[2 * size + n, 1]

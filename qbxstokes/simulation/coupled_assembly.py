@@ -376,7 +376,7 @@ def assemble(scene: CoupledSimulation) -> Together:
     stokes = scene.stokes_number
     relaxation = np.zeros(len(bodies))
     if np.any(stokes):
-        drag = [np.diag(scatterer(body.shape, LEAST_NODES).resistance) for body in bodies]
+        drag = [scatterer(body.shape, LEAST_NODES).resistance for body in bodies]
         for b, own in enumerate(drag):
             rates = np.concatenate(
                 [own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]]

@@ -145,7 +145,8 @@ class Suspension:
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
 
-            problem.own = dealt(problem, self.comm.getSize())[self.comm.getRank()]
+            problem.shares = dealt(problem, self.comm.getSize())
+            problem.rank = self.comm.getRank()
         return problem
 
     def resistance(
@@ -339,7 +340,7 @@ class Suspension:
                 data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
             x = solver.solve(data)
             _, sent = solver.swept(x)
-            flows = [sent[b] for b in range(len(self))]
+            flows = [problem.maps[b].harmonics.unpacked(sent[b]) for b in range(len(self))]
             loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
@@ -361,12 +362,10 @@ class Suspension:
             data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
         x = solver.solve(data, guess)
         own, sent = solver.swept(x)
-        found = {
-            b: problem.to_space(b, alone[b][0] - problem.alone(b, v)[1]) for b, v in own.items()
-        }
-        found = solver.gathered(found, range(len(self)), lambda b: (6,))()
-        motion = np.stack([found[b].real for b in driven])
-        flows = [driven[b] + sent[b] for b in driven]
+        parts = {b: problem.alone(b, v)[1] for b, v in own.items()}
+        less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
+        motion = np.stack([problem.to_space(b, alone[b][0] - less[b]) for b in driven])
+        flows = [problem.maps[b].harmonics.unpacked(driven[b] + sent[b]) for b in driven]
         took = solver.latest
         solver.release()
 
