@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,19 @@ def test_a_case_of_two_bodies_is_what_python_gives() -> None:
     estimates = found.summary["error_estimates"]
     assert 0.0 < estimates["resistance"] < 1e-4
     assert found.summary["gap"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_any_number_of_ranks_gives_the_same_numbers(
+    mpirun: Callable[..., Any], tmp_path: Path, ranks: int
+) -> None:
+    case = {**PAIR, "surroundings": {"type": "wall", "point": [0, -2, 0]}}
+    (tmp_path / "case.yaml").write_text(yaml.safe_dump(case))
+    done = mpirun(ranks, "case.yaml", "--quiet")
+    assert done.returncode == 0, done.stderr
+    one, several = qs.run(case), qs.load(tmp_path / "case.h5")
+    for name in ("resistance", "free_velocity", "free_angular_velocity", "stresslet"):
+        assert np.allclose(several[name], one[name], rtol=0, atol=1e-12 * np.abs(one[name]).max())
 
 
 def test_a_table_stands_for_the_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

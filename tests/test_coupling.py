@@ -11,6 +11,7 @@ from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.petsc.coupled import costs, dealt
 from qbxstokes.reference.bispherical import Bispherical, brenner, near_wall
 
 ORIGIN, SHEAR = [[0.0, 0.0, 0.0]], qs.flow("shear")
@@ -224,3 +225,17 @@ def test_grids_follow_a_singular_flow() -> None:
     exact = qs.Body(0.5).free_motion(near, [0.0, 0.0, 0.0], axis[0])
     found = one.free_motion(near, ORIGIN, axis)
     assert np.allclose([found[0][0], found[1][0]], exact, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parametrize("nodes", [[12], [20, 20], [54, 12, 9], [8, 14, 36, 8, 10, 12, 8]])
+def test_ranks_share_the_work_whatever_the_bodies(nodes: list[int], ranks: int) -> None:
+    scene = qs.Suspension([qs.Body(0.5)] * len(nodes), UP)
+    x = [[3.0 * i, 0.0, 2.0] for i in range(len(nodes))]
+    problem = scene.problem(scene.placed(x), nodes)
+    shares, cost = dealt(problem, ranks), costs(problem)
+    for b, n in enumerate(nodes):
+        assert sorted(np.concatenate([share.get(b, []) for share in shares])) == list(range(n))
+    for stage in problem.stages:
+        load = [sum(cost[b] * len(share.get(b, [])) / nodes[b] for b in stage) for share in shares]
+        assert max(load) <= 1.15 * sum(load) / ranks

@@ -264,7 +264,7 @@ class Coupled:
     def flow(self, b: int, v: Array, free: bool) -> Array:
         """Exterior flow of body b, packed: E v, or M v of a free one; a part as in `alone`."""
         c, motion = self.alone(b, v)
-        return c - np.tensordot(motion, self.maps[b].rigid_flows, 1) if free else c
+        return c - self.maps[b].moving(motion) if free else c
 
     # -- what arrives -------------------------------------------------------------------------
 
@@ -383,7 +383,7 @@ class Coupled:
     def loaded(self, b: int, load: Array) -> tuple[Array, Array]:
         """Motion alone (6,), map's units, of body b under a load (6,) of space; its packed flow."""
         motion = self.to_body(b, load, forces=True) / self.maps[b].resistance
-        return motion, np.tensordot(motion, self.maps[b].rigid_flows, 1)
+        return motion, self.maps[b].moving(motion)
 
 
 def names_of(b: int, c: int) -> str:

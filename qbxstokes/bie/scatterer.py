@@ -61,9 +61,15 @@ class Scatterer(SurfaceToExterior):
 
     def degrees_for(self, points: Array, tolerance: float) -> Integers:
         """Degrees (N,) beyond which harmonics are below tolerance at points of the body frame."""
-        decay = np.minimum(self.grid.shape.decay(points), 1.0 - 1e-9)
-        wanted = np.ceil(np.log(tolerance) / np.log(decay)) + 2.0
-        return np.asarray(np.clip(wanted, 3, self.harmonics.degree), dtype=np.int64)
+        from qbxstokes.qbx.exterior_basis import degrees_for
+
+        found, k = np.empty(len(points), dtype=np.int64), self.harmonics.ratio_of_axes
+        degrees_for(np.ascontiguousarray(points), k, tolerance, self.harmonics.degree, found)
+        return found
+
+    def moving(self, motion: Array) -> Array:
+        """Packed flow of the body moving alone (6,)."""
+        return (motion @ self.rigid_flows.reshape(6, -1)).reshape(self.shape_of_flows)
 
 
 @lru_cache(maxsize=64)

@@ -152,7 +152,7 @@ def dealt(problem: Coupled, ranks: int) -> list[dict[int, Integers]]:
     are more than what is left of a rank's share of the work, circle by circle.
     """
     shares: list[dict[int, list[int]]] = [{} for _ in range(ranks)]
-    cost, whole = _costs(problem), np.zeros(ranks)
+    cost, whole = costs(problem), np.zeros(ranks)
     for stage in problem.stages:
         load, cut = np.zeros(ranks), []
         most = _SLACK * float(cost[stage].sum()) / ranks
@@ -174,7 +174,7 @@ def dealt(problem: Coupled, ranks: int) -> list[dict[int, Integers]]:
     return [{b: np.array(share[b]) for b in sorted(share)} for share in shares]
 
 
-def _costs(problem: Coupled) -> Array:
+def costs(problem: Coupled) -> Array:
     """Work that each body is, in harmonics at points: what arrives at it and what it sends."""
     n, gaps = np.array(problem.nodes), problem.gaps
     reach = np.array([body.size * body.shape.radius for body in problem.bodies])

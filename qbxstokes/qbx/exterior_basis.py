@@ -19,7 +19,7 @@ def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
     table[row, i, column], table[row, i, column + 1] = value.real, -value.imag
 
 
-@njit(cache=compiled_are_kept())
+@njit(cache=compiled_are_kept(), fastmath=True)
 def tabulate(points, k, degree, orders, start, recurrence, second, table):  # type: ignore[no-untyped-def]
     """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
 
@@ -75,6 +75,17 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
                 )
             w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
             first *= k * k / alpha2
+
+
+@njit(cache=compiled_are_kept())
+def degrees_for(points, k, tolerance, most, degrees):  # type: ignore[no-untyped-def]
+    """Fill degrees (P,) beyond which harmonics are below tolerance at points (P, 3): 3 to most."""
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        alpha2, gamma, _ = confocal(x * x + y * y, z, (1.0 - k) * (1.0 + k))
+        decay = min((k + 1.0) / (math.sqrt(max(alpha2, 0.0)) + gamma), 1.0 - 1e-9)
+        wanted = math.ceil(math.log(tolerance) / math.log(decay)) + 2.0
+        degrees[i] = int(min(max(wanted, 3.0), most))
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
