@@ -24,11 +24,11 @@ LOOSE = 1e-6
 # Right-hand sides of a step of 8vr, and those that take as long as a step of BDF, of arkimex.
 STAGES = 13
 IMPLICIT_COST = 50
-_COSTS = {"rk": STAGES, "arkimex": 20 * STAGES}
+_COSTS = {"rk": STAGES, "arkimex": 25 * STAGES}
 # Steps that BDF takes at least to reach its highest order.
 _START = 150
 # Steps of an implicit formula of one step after a break.
-_FRESH = 40
+_FRESH = 16
 
 
 def floor_of(kind: str) -> float:
