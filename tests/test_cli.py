@@ -357,6 +357,24 @@ guarded(comm, action)
     assert error.split("(")[0] in done.stderr or "the disk is full" in done.stderr
 
 
+@pytest.mark.mpi
+def test_a_failure_of_all_ranks_in_a_service_is_told_once(mpirun: Run) -> None:
+    script = """
+from qbxstokes.errors import OutputError
+from qbxstokes.runs.parallel import agree, guarded, on_root, world
+from qbxstokes.runs.shared_rows import with_team
+comm = world()
+def service():
+    agree(comm, OutputError("the disk is full") if comm.rank == 1 else None)
+def action(team):
+    team.join("service")
+    service()
+guarded(comm, lambda: on_root(comm, with_team(comm, action, {"service": service})))
+"""
+    done = mpirun(2, script=script, timeout=20)
+    assert done.stderr.splitlines() == ["qbxstokes: the disk is full"]
+
+
 @pytest.mark.parametrize(
     ("text", "right"),
     [

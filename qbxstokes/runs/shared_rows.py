@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from qbxstokes.errors import QbxStokesError
 from qbxstokes.petsc.launch import finish_asleep
 from qbxstokes.qbx.operator import layer_rows
 
@@ -110,16 +111,26 @@ def with_team(
 ) -> Callable[[], T]:
     """The action of rank 0 with the other ranks at its service; they have served on return.
 
-    Every rank calls this; the result is to be run on rank 0 (`parallel.on_root`).
+    Every rank calls this; the result is to be run on rank 0 (`parallel.on_root`). A failure that
+    all ranks share, in a service, ends the service of the others.
     """
     team = RowTeam(comm, services)
     if comm.rank:
-        team.serve()
+        try:
+            team.serve()
+        except QbxStokesError as error:
+            if not error.on_all_ranks:
+                raise
 
     def run() -> T:
+        shared = False
         try:
             return action(team)
+        except QbxStokesError as error:
+            shared = error.on_all_ranks
+            raise
         finally:
-            team.dismiss()
+            if not shared:
+                team.dismiss()
 
     return run
