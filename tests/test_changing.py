@@ -352,3 +352,26 @@ def test_jumps_and_what_is_faster_than_the_body_are_seen(rate: Any, strain: floa
         flow = qs.flow("shear", rate=rate)
         found = body.integrate(flow, [8.0], orientation=start, tolerance=tolerance)
         assert np.abs(found.axis[-1] - right).max() < 2.0 * tolerance
+
+
+def test_stresslets_change_and_walls_do_not() -> None:
+    """Symmetric and traceless at every instant; entries, functions and samples are one flow."""
+    strength = np.array([[1.0, 0.3, 0.0], [0.3, -0.5, 0.2], [0.0, 0.2, -0.5]])
+    steady = qs.flow("stresslet", position=[4, 0, 0], strength=strength)
+    entries = [[f"{value}*cos(t)" for value in row] for row in strength]
+    samples = qs.Series(TIMES, [(np.cos(t) * strength).ravel() for t in TIMES])
+    at = np.array([0.0, 1.0, 0.0])
+    for given in (entries, lambda t: np.cos(t) * strength, samples):
+        found = qs.flow("stresslet", position=[4, 0, 0], strength=given).velocity(at, 2.0)
+        np.testing.assert_allclose(found, np.cos(2.0) * steady.velocity(at), rtol=1e-6)
+    wrong = qs.flow("stresslet", position=[4, 0, 0], strength=lambda t: t * np.eye(3))
+    with pytest.raises(QbxStokesError, match="symmetric"):
+        wrong.velocity(at, 1.0)
+    for kind, key, value in (
+        ("plane_poiseuille", "half_width", "2 + t"),
+        ("tube_poiseuille", "radius", np.cos),
+    ):
+        with pytest.raises(
+            QbxStokesError, match=f"{key} of {kind} cannot change in time, as speed"
+        ):
+            qs.flow(kind, **{key: value})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.errors import FlowError
+from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.expressions import expression_in_time
 from qbxstokes.flows.base import Build, Flow, SumFlow
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.series import GradientSeries, series_of_file
 from qbxstokes.flows.signals import Part, Signal
+from qbxstokes.flows.singularities import Stresslet
 from qbxstokes.flows.user import load_function
 from qbxstokes.flows.values import Key, check_keys, instants, number
 from qbxstokes.tables import TableError, read_table
@@ -198,6 +200,7 @@ def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> Changin
     """
     spec = {key: value for key, value in given.items() if key not in _IN_TIME}
     changing = [key for key in kind.linear_in if key in spec and _changes(spec[key])]
+    _require_fixed(kind, spec)
     if not changing:
         return None
     rest = {key: value for key, value in spec.items() if key not in kind.linear_in}
@@ -205,7 +208,7 @@ def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> Changin
     step = math.inf if bound is None else number(bound, "longest_step", positive=True)
     parts, units = [], []
     for key in changing:
-        part, filled = _part(key, spec[key], given.get("trajectory"))
+        part, filled = _part(kind, key, spec[key], given.get("trajectory"))
         spacing = min(step, part.source.longest_step if isinstance(part.source, Series) else step)
         part = replace(part, given_breaks=lambda end: breaks[breaks < end], spacing=spacing)
         parts.append(part)
@@ -222,6 +225,25 @@ def in_time(kind: type[Flow], given: Mapping[str, Any], build: Build) -> Changin
     return ChangingFlow(Signal(parts), units, still, {"type": kind.type_name, **given})
 
 
+def _require_fixed(kind: type[Flow], spec: Mapping[str, Any]) -> None:
+    """Refuse times in what moves the walls or centres of a flow: it would be another one."""
+    for key in spec if kind.linear_in else ():
+        value = spec[key]
+        entries = value if isinstance(value, (list, tuple)) else [value]
+        if key not in kind.linear_in and any(_is_in_time(entry) for entry in entries):
+            may = " and ".join(kind.linear_in)
+            wrong = f"{key} of {kind.type_name} cannot change in time, as {may} can"
+            raise FlowError(f"{wrong}: walls and centres that move make another flow", (key,))
+
+
+def _is_in_time(value: Any) -> bool:
+    """Whether something is a function, an expression or a series of t."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return callable(expression_in_time(value))
+    return callable(value) or (isinstance(value, Mapping) and bool(_SERIES & set(value)))
+
+
 def _changes(value: Any) -> bool:
     """Whether something in what a key is given changes in time."""
     if isinstance(value, Mapping) and not _SERIES & set(value):
@@ -231,9 +253,11 @@ def _changes(value: Any) -> bool:
     return isinstance(value, (str, Series, Mapping)) or callable(value)
 
 
-def _part(key: str, given: Any, trajectory: Any) -> tuple[Part, Callable[[list[float]], Any]]:
+def _part(
+    kind: type[Flow], key: str, given: Any, trajectory: Any
+) -> tuple[Part, Callable[[list[float]], Any]]:
     """The numbers of a key that change, and what makes the key's value of them in their order."""
-    value, gradient = given, key == "gradient"
+    value, gradient, stresslet = given, key == "gradient", kind is Stresslet
     if isinstance(value, str) and ".py:" in value:
         value = load_function(value)
     elif isinstance(value, Mapping) and _SERIES & set(value):
@@ -241,26 +265,44 @@ def _part(key: str, given: Any, trajectory: Any) -> tuple[Part, Callable[[list[f
     elif isinstance(value, GradientSeries) and trajectory is not None:
         value = value.path(_path_number(trajectory))
     if callable(value):
-        shape = _SHAPES.get(key, ())
+        shape = (3, 3) if stresslet else _SHAPES.get(key, ())
         if isinstance(value, Series):
             value.values(np.array([value.times[0]]))  # of one path
             count = 9 if isinstance(value, GradientSeries) else value.samples.shape[-1]
             if count != np.prod(shape, dtype=int):
                 raise FlowError(f"{key} has {count} numbers in its series", (key,))
+        value = _strength(value, key) if stresslet else value
         return Part(value, shape, (key,), gradient), lambda row: np.reshape(row, shape).tolist()
     leaves: list[Callable[[float], float]] = []
     filled = _leaves(value, (key,), leaves)
     shape = (len(leaves),)
-    if gradient:
+    if gradient or stresslet:
         shape = (3, 3)
         rows = value if isinstance(value, (list, tuple)) else []
         if [len(row) if isinstance(row, (list, tuple)) else 0 for row in rows] != [3, 3, 3]:
-            raise FlowError("gradient must hold 3 x 3 numbers or expressions in t", (key,))
+            raise FlowError(f"{key} must hold 3 x 3 numbers or expressions in t", (key,))
 
     def source(t: float) -> Array:
         return np.reshape([leaf(t) for leaf in leaves], shape)
 
-    return Part(source, shape, (key,), gradient), filled
+    given_in = _strength(source, key) if stresslet else source
+    return Part(given_in, shape, (key,), gradient), filled
+
+
+def _strength(source: Callable[[float], Any], key: str) -> Callable[[float], Any]:
+    """The strength of a stresslet at every instant, symmetric and traceless; of samples as well."""
+
+    def settled_at(t: float) -> Array:
+        try:
+            return Stresslet(np.reshape(source(t), (3, 3))).strength
+        except FlowError as error:
+            raise FlowFunctionError(f"at t = {t:.6g}: {error}", (key,)) from None
+
+    if not isinstance(source, Series):
+        return settled_at
+    for t in source.times.tolist():
+        settled_at(t)
+    return source
 
 
 def _leaves(

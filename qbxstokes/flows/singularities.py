@@ -7,12 +7,13 @@ Pozrikidis 1992, Boundary Integral and Singularity Methods, chapters 2 and 7).
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.flows.base import Flow
+from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.values import number, settled, tensor, traceless
 from qbxstokes.typing import Array
 
@@ -164,6 +165,15 @@ class Stresslet(Singularity):
     """
 
     type_name = "stresslet"
+    linear_in = ("strength",)
+
+    @classmethod
+    def unchecked(cls, spec: Mapping[str, Any], build: Build) -> Stresslet:
+        """The flow of the part of a strength that is symmetric and traceless."""
+        given = tensor(spec["strength"], "strength", (3, 3))
+        found = cls.from_spec({**spec, "strength": traceless(0.5 * (given + given.T))}, build)
+        assert isinstance(found, Stresslet)
+        return found
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Raises FlowError unless the strength is symmetric and traceless."""

@@ -191,17 +191,16 @@ class System:
     def _weights(self, kind: str) -> Array:
         """Errors of a step that are accepted of small components, (columns, n_state).
 
-        An error of a velocity lasts as long as drag lets it, and moves the body by no more: that
-        much is accepted of it, up to the tolerance itself.
+        A velocity may be off by what drag lets it move the body, up to the tolerance itself.
         One component of a vector is known to rounding of the largest, since the equations turn it
         into the body's frame and back: what is less than that is asked of none.
         """
         accepted, state = self.local_tolerance * self._scales, self._start.state
         if not self.equations.massless:
             across, along, turn, spin = self.equations.relaxation_rates
-            fastest = np.stack([*3 * [np.minimum(across, along)], turn, turn, spin], axis=1)
-            size, most = accepted[:, RATES], self._tolerance * self._scales[:, RATES]
-            size[:] = np.maximum(size, np.minimum(self.local_tolerance * fastest, most))
+            lasting = np.stack([*3 * [np.minimum(across, along)], turn, turn, spin], axis=1)
+            least, most = accepted[:, RATES], self._tolerance * self._scales[:, RATES]
+            accepted[:, RATES] = np.clip(self.local_tolerance * lasting, least, most)
         for part in (POSITION, VELOCITY, SPIN):
             size = np.linalg.norm(state[:, part], axis=1, keepdims=True)
             accepted[:, part] = np.maximum(accepted[:, part], 4.0 * floor_of(kind) * size)
@@ -397,6 +396,5 @@ class System:
         fastest = float(np.max(np.abs(rate) / size))
         if not self._by_lane:
             fastest = max(fastest, float(np.max(equations.stiffness)))
-        span = self.end - checkpoint.time
-        span = min(span, self._longest or span)
+        span = min(self.end - checkpoint.time, self._longest or math.inf)
         return min(span, 0.1 / fastest) if fastest > 0.0 else span
