@@ -18,6 +18,8 @@ import pytest
 from conftest import ENVIRONMENT
 
 import qbxstokes as qs
+from qbxstokes.runs.parallel import guarded
+from qbxstokes.runs.shared_rows import ALONE
 
 SHEAR: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},
@@ -99,6 +101,17 @@ def test_a_signal_before_there_is_anything_says_so(
     assert done.returncode == 129
     assert done.stderr == "qbxstokes: SIGHUP: interrupted; no result was written\n"
     assert os.listdir(path.parent) == [path.name]
+
+
+def test_what_fails_because_of_a_signal_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:
+    def compiling() -> int:
+        try:
+            raise KeyboardInterrupt(signal.SIGTERM)
+        finally:
+            raise RuntimeError("no compiled object yet")
+
+    assert guarded(ALONE, compiling) == 143
+    assert capsys.readouterr().err == "qbxstokes: SIGTERM: interrupted; no result was written\n"
 
 
 def test_other_threads_run_cases_without_handlers() -> None:

@@ -68,18 +68,16 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
             return error.exit_status
         print(f"qbxstokes: rank {comm.rank}: {error}", file=sys.stderr, flush=True)
         status = error.exit_status
-    except KeyboardInterrupt as stop:
-        number = stop.args[0] if stop.args else signal.SIGINT
-        name = "" if number == signal.SIGINT else f"{signal.Signals(number).name}: "
-        text = f"qbxstokes: {name}interrupted; no result was written"
-        print(text, file=sys.stderr, flush=True)
-        status = 128 + number
-    except Exception as error:
-        status = 1
-        told = petsc_message(error) or missing_message(error) or memory_message(error)
-        text = f"qbxstokes: {told}\n" if told else traceback.format_exc()
-        if comm.size > 1:
-            text = "".join(f"rank {comm.rank}: {line}\n" for line in text.splitlines())
+    except (Exception, KeyboardInterrupt) as error:
+        if number := _stopping(error):
+            name = "" if number == signal.SIGINT else f"{signal.Signals(number).name}: "
+            text = f"qbxstokes: {name}interrupted; no result was written\n"
+        else:
+            told = petsc_message(error) or missing_message(error) or memory_message(error)
+            text = f"qbxstokes: {told}\n" if told else traceback.format_exc()
+            if comm.size > 1:
+                text = "".join(f"rank {comm.rank}: {line}\n" for line in text.splitlines())
+        status = 128 + number if number else 1
         sys.stderr.write(text)
         sys.stderr.flush()
     if comm.size > 1:
@@ -87,6 +85,15 @@ def guarded(comm: Any, action: Callable[[], int]) -> int:
         comm.Abort(status)
         os._exit(status)
     return status
+
+
+def _stopping(error: BaseException | None) -> int:
+    """The signal that stopped the program; 0 if none did. What it stops may fail in consequence."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    if error is None:
+        return 0
+    return int(error.args[0]) if error.args else int(signal.SIGINT)
 
 
 def missing_message(error: Exception) -> str:
