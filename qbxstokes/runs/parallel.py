@@ -96,7 +96,7 @@ def _stopping(error: BaseException | None) -> int:
     return int(error.args[0]) if error.args else int(signal.SIGINT)
 
 
-def missing_message(error: Exception) -> str:
+def missing_message(error: BaseException) -> str:
     """One line for a package that is not installed, '' for any other error."""
     name = getattr(error, "name", None)
     if not isinstance(error, ModuleNotFoundError) or str(name).startswith("qbxstokes"):
@@ -106,7 +106,7 @@ def missing_message(error: Exception) -> str:
     )
 
 
-def memory_message(error: Exception) -> str:
+def memory_message(error: BaseException) -> str:
     """One line where memory does not suffice, '' for any other error."""
     import resource
 
@@ -136,7 +136,7 @@ def say(text: str) -> None:
             raise OutputError(f"standard output: cannot be written ({error.strerror})") from None
 
 
-def petsc_message(error: Exception) -> str:
+def petsc_message(error: BaseException) -> str:
     """One line for an error that PETSc raised, '' for any other."""
     if type(error).__module__.partition(".")[0] != "petsc4py":
         return ""
