@@ -30,7 +30,7 @@ from qbxstokes.plots.camera import Camera, split_at_silhouette
 from qbxstokes.plots.columns import Columns, figure_of
 from qbxstokes.plots.orbit import drifts
 from qbxstokes.plots.picture_choice import kinds
-from qbxstokes.plots.picture_source import axis_path, between, sampling
+from qbxstokes.plots.picture_source import axis_path, between, sampling, smooth
 from qbxstokes.plots.series import alike, draw_path
 from qbxstokes.reference import jeffery
 from qbxstokes.simulation.from_case import samples_of, times_of
@@ -193,8 +193,9 @@ def test_every_quantity_is_drawn_by_its_name(result: Result) -> None:
 def test_path_separates_drift_from_stream(result: Result) -> None:
     path, stream, drift = figure(result, "path").axes
     line = path.get_lines()[0]
-    np.testing.assert_array_equal(line.get_xdata(), result.position[:, 0])
-    np.testing.assert_array_equal(line.get_ydata(), result.position[:, 1])
+    along, across = (np.asarray(data)[::8] for data in line.get_data())  # and between the samples
+    np.testing.assert_array_equal(along, result.position[:, 0])
+    np.testing.assert_array_equal(across, result.position[:, 1])
     assert path.get_xlabel() == "$x_1$ ($c$); not to scale"
     assert stream.get_ylabel() == r"$\Delta x_1$ ($c$)"
     displacement = result.position[:, 1] - result.position[0, 1]
@@ -350,6 +351,20 @@ def test_cubic_between_samples_is_exact_for_a_cubic() -> None:
     values, rates = (times**3)[:, None], (3.0 * times**2)[:, None]
     at = np.linspace(0.0, 3.0, 13)
     np.testing.assert_allclose(between(times, values, rates, at)[:, 0], at**3, atol=1e-13)
+
+
+def test_paths_are_smooth_where_rates_agree_with_the_samples() -> None:
+    """A cubic is met; between a start and an end that rates say nothing of it is straight."""
+    t = np.array([0.0, 0.5, 1.0, 1.2])
+    way = np.stack([t, t**2, t**3], axis=1)
+    rates = np.stack([np.ones(4), 2.0 * t, 3.0 * t**2], axis=1)
+    path = smooth(t, way, rates)
+    np.testing.assert_allclose(path[:, 2], path[:, 0] ** 3, atol=1e-15)
+    np.testing.assert_array_equal(path[::8], way)
+    both = smooth(t, np.stack([way, way], axis=1), np.stack([rates, 9.0 * rates], axis=1))
+    np.testing.assert_array_equal(both[:, 0], path)
+    np.testing.assert_allclose(both[4, 1], 0.5 * (way[0] + way[1]))
+    assert smooth(t, way, None) is way
 
 
 # -- tables -------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, units
+from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, smooth, units
 from qbxstokes.plots.series import draw_lines, label_plane, plane_of_motion
 from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import MOTION
@@ -48,8 +48,7 @@ def scene_figure(result: ResultLike) -> Figure:
     figure = style.new_figure(style.PAGE, 4.0)
     axes = figure.add_subplot()
     _draw_scene(axes, result)
-    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
-    figure.set_figheight(float(np.clip(style.PAGE * height / width, 1.2, 6.0)) + 0.7)
+    style.fit_height(figure, axes)
     return figure
 
 
@@ -106,6 +105,8 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
     position, axis = _by_body(result, "position"), _by_body(result, "axis")
     whole = np.flatnonzero(np.isfinite(position).all(axis=(1, 2)))
     position, axis = position[whole], axis[whole]
+    velocity = _by_body(result, "velocity")[whole] if "velocity" in result.arrays else None
+    paths = smooth(instants(result)[whole], position, velocity)
     along, across = _plane(result, position)
     bodies = outlines(result, position.shape[1])
     seen = []
@@ -113,7 +114,7 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
         look = style.line_style(b)
         path = position[:, b, [along, across]]
         name = f"body {b + 1}" if len(bodies) > 1 and b < _MANY else None
-        axes.plot(*path.T, label=name, **look)
+        axes.plot(*paths[:, b, [along, across]].T, label=name, **look)
         for place in _apart(path, 2.5 * size * shape.radius):
             edge = path[place] + _edge(shape, size, axis[place, b], [along, across])
             face = look["color"] if place == len(path) - 1 else "none"

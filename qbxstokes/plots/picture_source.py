@@ -11,6 +11,8 @@ from qbxstokes.errors import ResultFileError, SceneError
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 from qbxstokes.typing import AnyArray, Array
 
+# Samples of a path up to which it is drawn by so many points for each.
+_FEW, _FINER = 2000, 8
 TURN_LIMIT = 1.0  # radians between samples, beyond which a picture need not resemble the motion
 
 
@@ -142,6 +144,24 @@ def between(times: Array, values: Array, rates: Array | None, at: Array) -> Arra
         first, last = step * rates[index] - change, change - step * rates[index + 1]
         point = point + s * (1.0 - s) * ((1.0 - s) * first + s * last)
     return point
+
+
+def smooth(times: Array, points: Array, rates: Array | None) -> Array:
+    """Paths (T, ..., 3) with points between the samples, where rates agree with these."""
+    if rates is None or rates.shape != points.shape or not 1 < len(times) <= _FEW:
+        return points
+    n, last = len(times), len(times) - 1
+    at = np.interp(np.arange(_FINER * last) / _FINER, np.arange(n), times)
+    flat, slopes = points.reshape(n, -1, 3), rates.reshape(n, -1, 3)
+    change, step = np.diff(flat, axis=0), np.diff(times)[:, None, None]
+    off = [np.linalg.norm(step * v - change, axis=2) for v in (slopes[:-1], slopes[1:])]
+    sure = np.maximum(*off) < np.linalg.norm(change, axis=2)
+    chords, curves = (
+        between(times, flat.reshape(n, -1), given, at).reshape(-1, *flat.shape[1:])
+        for given in (None, slopes.reshape(n, -1))
+    )
+    inner = np.where(np.repeat(sure, _FINER, axis=0)[..., None], curves, chords)
+    return np.concatenate([inner, flat[-1:]]).reshape(-1, *points.shape[1:])
 
 
 def axis_path(times: Array, axis: Array, spin: Array | None) -> tuple:

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike, instants, samples, units
+from qbxstokes.plots.picture_source import ResultLike, instants, samples, smooth, units, vectors
 from qbxstokes.plots.style import Axes
 from qbxstokes.quantities import RECORDABLE, STRESS
 from qbxstokes.typing import Array
@@ -204,7 +204,7 @@ def draw_path(axes: Axes, result: ResultLike) -> None:
     """The path in the plane of motion: true to scale, or said not to be where it is too long."""
     position = samples(result, "position", 3)
     along, across = plane_of_motion(position)
-    x, y = position[:, along], position[:, across]
+    x, y = smooth(instants(result), position, vectors(result, "velocity"))[:, [along, across]].T
     many = len(x) > style.RASTER_LIMIT
     axes.plot(x, y, color=style.BLUE, rasterized=many, zorder=2)
     for place, name, face in ((0, "start", "white"), (-1, "end", style.BLACK)):

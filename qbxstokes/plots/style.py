@@ -19,6 +19,8 @@ from math import floor, inf, log10
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from qbxstokes import __version__
 from qbxstokes.errors import CaseError
 
@@ -207,6 +209,14 @@ def into(axes: Sequence[Axes]) -> Iterator[None]:
         yield
     finally:
         _given.reset(token)
+
+
+def fit_height(figure: Figure, axes: Axes) -> None:
+    """Give a figure of one panel, true to scale, the height it needs; never one of the user's."""
+    if not isinstance(figure, _Given):
+        legend = 0.2 if axes.get_legend() else 0.0
+        height = (PAGE - 0.5) * np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim())
+        figure.set_figheight(float(np.clip(height, 0.5, 6.0)) + 0.5 + legend)
 
 
 def line_style(index: int, markers: bool = False) -> dict[str, Any]:
