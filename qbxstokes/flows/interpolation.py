@@ -16,6 +16,7 @@ INTERPOLATIONS = {"sextic": 6, "linear": 2, "hold": 1}  # and the samples each o
 OUTSIDE = "error", "clamp", "repeat"
 # Samples that a step may pass where the polynomials through six of them go over into each other.
 _SEEN = 8
+_MANY = 20_000  # samples that are looked at together
 
 
 def power_weights(times: Array, interpolation: str) -> tuple[Integers, Array]:
@@ -149,18 +150,20 @@ class Series:
         """By how much the polynomials before and after each sample part within its intervals."""
         found = np.full(len(self.times), np.inf)
         (begin, weights), lengths = self._weights, np.diff(self.times)
-        powers = np.arange(weights.shape[1])
-        window = self.one[begin[:, None] + np.arange(weights.shape[2])]
-        polynomials = np.einsum("nkj,njm->nkm", weights, window)
+        powers, samples = np.arange(weights.shape[1]), np.arange(weights.shape[2])
 
-        def at(places: Array, which: slice) -> Array:
-            found: Array = np.einsum("nk,nkm->nm", places[:, None] ** powers, polynomials[which])
-            return found
+        def at(places: Any, which: Integers) -> Array:
+            """The polynomials of intervals at places of them, 0 to 1 inside."""
+            rows = np.einsum("nk,nkj->nj", np.atleast_2d(places).T ** powers, weights[which])
+            value: Array = np.einsum("nj,njm->nm", rows, self.one[begin[which][:, None] + samples])
+            return value
 
-        middle, half = np.full(len(lengths) - 1, 0.5), 0.5 * lengths
-        behind = at(-half[:-1] / lengths[1:], slice(1, None)) - at(middle, slice(-1))
-        ahead = at(1.0 + half[1:] / lengths[:-1], slice(-1)) - at(middle, slice(1, None))
-        found[1:-1] = np.abs([behind, ahead]).max(axis=(0, 2))
+        for first in range(1, len(lengths), _MANY):
+            later = np.arange(first, min(first + _MANY, len(lengths)))
+            early, ratio = later - 1, 0.5 * lengths[later - 1] / lengths[later]
+            behind = at(-ratio, later) - at(0.5, early)
+            ahead = at(1.0 + 0.25 / ratio, early) - at(0.5, later)
+            found[later] = np.abs([behind, ahead]).max(axis=(0, 2))
         return found
 
     def breaks(self, end: float, rough: float = 0.0) -> Array:

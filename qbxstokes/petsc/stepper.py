@@ -4,10 +4,9 @@
 and cost nothing inside them. The steps do not depend on the instants that are asked for.
 
 Events are found by an observer between the steps, as roots of functions of the states inside a step
-(`dense_output`), not by TSSetEventHandler. That one ends a step at each event and starts the next
-afresh, so that the motion would depend on what is watched for; it acts within TSSolve alone, which
-leaves no place for cuts; and its instants err by 1e-7 to 1e-6 in a motion good to 1e-8, unless BDF
-is to begin anew so often that its error grows to 5e-5. Here the motion stays, to the last bit.
+(`dense_output`). TSSetEventHandler ends a step at each event, so that the motion would depend on
+what is watched for; it acts within TSSolve alone, which leaves no place for cuts; and its instants
+err by 1e-7 to 1e-6 in a motion good to 1e-8. Here the motion stays, to the last bit.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
@@ -29,14 +28,13 @@ from petsc4py import PETSc
 
 from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError, Stopping
 from qbxstokes.flows.signals import NO_BOUND
-from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
 from qbxstokes.petsc.dense_output import FEW, Inside
 from qbxstokes.petsc.implicit_pace import Pace
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
-from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory, Watch
+from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory, Watch, of_unit_length
 
 Array = NDArray[np.float64]
 
@@ -129,12 +127,7 @@ class Run:
     """One integration in progress."""
 
     def __init__(
-        self,
-        system: System,
-        checkpoint: Checkpoint,
-        times: Array,
-        breaks: Array,
-        watch: Watch,
+        self, system: System, checkpoint: Checkpoint, times: Array, breaks: Array, watch: Watch
     ) -> None:
         self._breaks, self._watch, self._system = breaks, watch, system
         self.equations, self.checkpoint, self.times = system.equations, checkpoint, times
@@ -368,7 +361,7 @@ class Run:
         old = self.checkpoint
         new = Checkpoint(
             time=t,
-            state=_of_unit_length(state),
+            state=of_unit_length(state),
             step=float(ts.getTimeStep()),
             next_sample=index,
             method=self._system.method,
@@ -387,7 +380,7 @@ class Run:
         self._watch.rest()
         first = index - len(samples)
         states = np.array(samples).reshape(len(samples), *state.shape)
-        deliver(Chunk(first, self.times[first:index], _of_unit_length(states), new))
+        deliver(Chunk(first, self.times[first:index], of_unit_length(states), new))
         self.checkpoint = new
         if index == len(self.times):
             return
@@ -401,9 +394,3 @@ class Run:
         """Note what lets the run go no further."""
         failed = isinstance(error, (ConvergenceError, FlowFunctionError))
         self.failure, self.refusal = (str(error), self.refusal) if failed else ("", str(error))
-
-
-def _of_unit_length(states: Array) -> Array:
-    """The states (..., n_state), with their quaternions set to length 1."""
-    states[..., ORIENTATION] = rotation.normalize(states[..., ORIENTATION])
-    return states

@@ -5,6 +5,8 @@ States are (columns, n_state) as in `motion.layout`.
 
 from dataclasses import dataclass
 
+from qbxstokes.geometry import rotation
+from qbxstokes.motion.layout import ORIENTATION
 from qbxstokes.typing import Array
 
 
@@ -100,3 +102,9 @@ class Trajectory:
     reached: float = 0.0
     longest_step: float | None = None
     flow_samples: int = 0
+
+
+def of_unit_length(states: Array) -> Array:
+    """The states (..., n_state), with their quaternions set to length 1."""
+    states[..., ORIENTATION] = rotation.normalize(states[..., ORIENTATION])
+    return states

@@ -120,7 +120,7 @@ class Assembled:
         A gradient may be as rough as the error allows that falls to a step.
         """
         rough = 0.0
-        if longest:
+        if longest and self.equations.changing is not None:
             local = self.tolerance / self.equations.sensitivity(0.0, self.initial, end)
             rough = _ROUGH * local / longest
         found = np.unique(np.concatenate([part.flow.breaks(end, rough) for part in self.parts]))
