@@ -99,20 +99,22 @@ def instants_figure(result: ResultLike) -> Figure:
 
 
 def _relative(result: ResultLike, step: int, lab: bool) -> tuple[Array, Array]:
-    """Velocity (2, second, first) in the plane, NaN in the body, and speed (second, first)."""
+    """Velocity (2, second, first) in the plane, and speed (second, first).
+
+    In the bodies their own, so that colours and lines reach the outlines; the bodies cover it.
+    """
     plane, members = result.groups["field"]["plane"], members_of(result, step)
     centre = 0.0 if lab else members[0].velocity
     velocity = plane["velocity"][step] - centre
     shape = tuple(plane["shape"])
-    along_plane = directions(result, plane, step)
-    along = np.stack([(velocity @ direction).reshape(shape).T for direction in along_plane])
-    # Inside a body its own motion, so that colours reach the outline; the body covers it.
     filled = np.where(plane["inside"][step][:, None], 0.0, velocity)
     for one in members:
         arms = plane["points"][step] - one.position
         within = one.shape.level(arms @ one.turn / one.size) < 1.0
         rigid = np.cross(one.angular_velocity, arms) + one.velocity - centre
         filled[within] = rigid[within]
+    along_plane = directions(result, plane, step)
+    along = np.stack([(filled @ direction).reshape(shape).T for direction in along_plane])
     return along, np.linalg.norm(filled, axis=-1).reshape(shape).T
 
 
@@ -131,11 +133,9 @@ def _velocity(
     mesh = axes.pcolormesh(
         a, b, speed, norm=norm, shading="gouraud", cmap=style.SEQUENTIAL, rasterized=True
     )
-    u, v = (np.ma.masked_invalid(part) for part in along)
-    if np.ma.maximum(np.abs(u).max(), np.abs(v).max()) > 0.0:
-        lines = axes.streamplot(
-            a, b, u, v, color="white", linewidth=0.5, density=density, arrowsize=0.6
-        )
+    if np.any(along):
+        look: Any = {"color": "white", "linewidth": 0.5, "arrowsize": 0.6}
+        lines = axes.streamplot(a, b, *along, density=density, **look)
         lines.lines.set_capstyle("round")
         axes.set_xlim(a[0], a[-1])
         axes.set_ylim(b[0], b[-1])

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from qbxstokes.plots import style
+from qbxstokes.plots.bodies import draw_wall
 from qbxstokes.plots.instant import members_of, name_of, surfaces_of, view_of
 from qbxstokes.plots.picture_source import ResultLike
 from qbxstokes.plots.style import Figure
@@ -42,9 +43,11 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
     names = ["along the axis", "across it"]
     if "plane" in field:
         names = [name_of(field["plane"], name) for name in ("first", "second")]
-    figure = style.new_figure(style.PAGE, 0.46 * style.PAGE)
+    wide, high = 1.3 * np.abs(points @ np.stack([first, second], axis=-1)).max(axis=0)
+    reach = float(max(wide, high))
+    wide, high = max(wide, 0.3 * reach), max(high, 0.3 * reach)
+    figure = style.new_figure(style.PAGE, style.PAGE * min(0.46, 0.12 + 0.4 * high / wide))
     panels = figure.subplots(1, 2, sharey=True)
-    reach = 1.3 * float(np.abs(points @ np.stack([first, second], axis=-1)).max())
     points = points + seen_at
     longest = float(size.max()) or 1.0
     # On a slender or flat body nearly all of it would have one colour.
@@ -80,10 +83,9 @@ def traction_figure(result: ResultLike, step: int = -1) -> Figure:
             scale=5.0 * longest / reach,
             width=0.007,
         )
+        draw_wall(axes, result, side * first, second, middle - seen_at)
         across, up = side * (seen_at @ first), seen_at @ second
-        axes.set(
-            aspect="equal", xlim=(across - reach, across + reach), ylim=(up - reach, up + reach)
-        )
+        axes.set(aspect="equal", xlim=(across - wide, across + wide), ylim=(up - high, up + high))
         axes.set_title(name, loc="left", pad=4)
         name = names[0]
         if side < 0:
