@@ -375,3 +375,19 @@ def test_stresslets_change_and_walls_do_not() -> None:
             QbxStokesError, match=f"{key} of {kind} cannot change in time, as speed"
         ):
             qs.flow(kind, **{key: value})
+
+
+@pytest.mark.parametrize("stokes", [0.0, 1.0])
+def test_quantities_at_many_instants_are_those_at_each(stokes: float) -> None:
+    """Of lanes in a series, a function and a steady flow, to the last bit."""
+    series = qs.GradientSeries(TIMES, [cosines(1)(t) for t in TIMES])
+    flows = [qs.flow("linear", gradient=given) for given in (series, cosines(2))]
+    body, times = qs.Body(0.2, stokes_number=stokes), np.linspace(0.0, 6.0, 31)
+    scenes = [qs.Simulation(body, flow, orientation=AXIS) for flow in (*flows, qs.flow("shear"))]
+    for together in (assemble(scenes), assemble(scenes[:1])):
+        states = together.trajectory(times).states
+        wanted = ["velocity", "angular_velocity", "torque"]
+        found = together.observe(times, states, wanted)
+        for i in range(len(times)):
+            one = together.observe(times[i : i + 1], states[i : i + 1], wanted)
+            assert all(np.array_equal(one[name][0], found[name][i]) for name in wanted)

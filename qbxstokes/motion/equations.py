@@ -62,10 +62,10 @@ class RigidBodyEquations(Pieces):
     def repeated(self, count: int) -> RigidBodyEquations:
         """The equations of `count` times the same lanes: many instants as many lanes.
 
-        Only where nothing depends on time (`steady`).
+        Only where no loads or constraints depend on time (`steady`). Times may be those of lanes.
         """
         loads = self._given_loads
-        return RigidBodyEquations(
+        found = RigidBodyEquations(
             self.bodies.models.repeated(count),
             self._flows.repeated(count),
             np.tile(self.stokes_number, count),
@@ -75,6 +75,9 @@ class RigidBodyEquations(Pieces):
             self.evaluation,
             self.inertia,
         )
+        if found.changing is not None and self.changing is not None:
+            found.changing.follow(self.changing)
+        return found
 
     def compiled(self, evaluations: float = 0.0) -> bool:
         """Whether the compiled kernels serve, given how many right-hand sides are to come."""

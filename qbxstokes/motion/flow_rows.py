@@ -72,8 +72,17 @@ class FlowRows:
         assert self._sampled is not None
         return self._sampled.near(t, _STEP)
 
-    def at(self, t: float) -> Any:
-        """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ."""
+    def follow(self, other: "FlowRows") -> None:
+        """Be as well known as the same flows of another block."""
+        self._sampled, self._signal = other._sampled, other._signal
+
+    def at(self, t: Any) -> Any:
+        """The rows at a time: numbers, or rows (n_lanes,) for lanes that differ.
+
+        t: or times (n_lanes,), one for each lane.
+        """
+        if isinstance(t, np.ndarray):
+            return self._of_lanes(t)
         t = min(t, self.last)
         if not self._piece[0] <= t < self._piece[1]:
             place = -1 if self._sampled is None else self._sampled.piece(t)
@@ -90,6 +99,27 @@ class FlowRows:
         if self.group is None:
             return [_value(row, x) for row in powers]
         return self._placed(_value(powers, x))
+
+    def _of_lanes(self, t: Array) -> list[Array]:
+        """Rows (n_lanes,) at times (n_lanes,)."""
+        t, known = np.minimum(t, self.last), self._sampled
+        found = np.empty((len(t), len(self.rows)))
+        lanes = np.arange(len(t)) if self.group is None else np.flatnonzero(self.group >= 0)
+        group = np.zeros(len(t), np.int64) if self.group is None else self.group
+        if known is None or min(known.piece(float(t.min())), known.piece(float(t.max()))) < 0:
+            for lane in lanes:
+                found[lane] = self._asked(float(t[lane]))[:, group[lane]]
+        else:
+            places = (
+                np.searchsorted(known.edges, t[lanes], "right").clip(max=len(known.origins)) - 1
+            )
+            x = ((t[lanes] - known.origins[places]) * known.scales[places])[:, None]
+            powers = self._coefficients()[places, ..., group[lanes]]
+            found[lanes] = _value([powers[:, k] for k in range(powers.shape[1] - 1, -1, -1)], x)
+        if len(lanes) < len(t):
+            others = np.setdiff1d(np.arange(len(t)), lanes)
+            found[others] = self._table[self.rows][:, others].T
+        return list(found.T)
 
     def _asked(self, t: float) -> Array:
         """The rows (rows, flows) by the flows themselves."""

@@ -6,6 +6,7 @@ under its name. To add one: a line in the list, a function here.
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ _BASIC = ("position", "axis", "velocity", "angular_velocity")
 
 
 class Moment:
-    """The states (n, n_state) of n bodies at the time t, and what several quantities share.
+    """The states (n, n_state) of n bodies at time t, or times (n,), and what quantities share.
 
     shear: directions (3, 3) of stream, gradient and vorticity to which the orbit constant refers,
     None where there are none.
@@ -37,7 +38,7 @@ class Moment:
     def __init__(
         self,
         equations: RigidBodyEquations,
-        t: float,
+        t: Any,
         states: Array,
         shear: Array | None,
         stress: StressSource | None = None,
@@ -153,7 +154,8 @@ def observe(
     KeyError for an unknown name.
     """
     samples, n = states.shape[:2]
-    together = max(1, _PIECE // n) if steady and equations.steady else 1
+    vectors = steady or (equations.changing is not None and stress is None)
+    together = max(1, _PIECE // n) if vectors and equations.steady else 1
     results: dict[str, Array] = {
         name: np.empty((samples, n, *RECORDABLE[name].shape))
         for name in dict.fromkeys((*_BASIC, *wanted))
@@ -165,7 +167,8 @@ def observe(
         y = states[piece].reshape(count * n, -1)
         if many.n_lanes != len(y):
             many = equations.repeated(count)
-        moment = Moment(many, float(times[start]), y, shear, stress)
+        t = float(times[start]) if steady or count == 1 else np.repeat(times[piece], n)
+        moment = Moment(many, t, y, shear, stress)
         for name, array in results.items():
             array[piece] = OBSERVABLES[name](moment).reshape(count, n, *array.shape[2:])
     return results

@@ -50,13 +50,26 @@ class Inside:
         if self._system.method in INTERPOLANT_SUFFICES:
             self._ts.interpolate(t, self.scratch)
         elif many and (self._system.layout.columns == 1 or self._system.native is None):
-            if self._polynomial is None or self._polynomial[0] != before:
-                self._polynomial = before, self._nodes(before, start, after)
-            weights = _hermite((t - before) / (after - before), after - before)
-            self.scratch.setArray(weights @ self._polynomial[1])
+            return self._by_polynomial(before, start, after, np.array([t]))[0]
         else:
             self._substep(before, start, after, t)
         return self._system.read(self.scratch)
+
+    def states_at(self, before: float, start: Array, after: float, times: Array) -> list[Array]:
+        """States at all instants (n,) that are wanted of a step."""
+        several = self._system.layout.columns > 1 and self._system.native is not None
+        if len(times) <= FEW or several or self._system.method in INTERPOLANT_SUFFICES:
+            return [self.state_at(before, start, after, t) for t in times.tolist()]
+        found = self._by_polynomial(before, start, after, times)
+        return [*found[:-1], self._system.read(self._vector)] if times[-1] == after else found
+
+    def _by_polynomial(self, before: float, start: Array, after: float, t: Array) -> list[Array]:
+        """States at instants (n,) by the polynomial of the step."""
+        if self._polynomial is None or self._polynomial[0] != before:
+            self._polynomial = before, self._nodes(before, start, after)
+        weights = _hermite((t - before) / (after - before), after - before)
+        terms = (weights[:, k, None] * node for k, node in enumerate(self._polynomial[1]))
+        return [self._system.states(values) for values in sum(terms)]
 
     def _nodes(self, before: float, start: Array, after: float) -> Array:
         """States at the ends and the thirds of a step, then the rates there, (8, n)."""
@@ -68,7 +81,10 @@ class Inside:
                 self.scratch.setArray(start if node == 0.0 else self._vector.getArray(readonly=1))
             else:
                 self._substep(before, start, after, t)
-            self._system.rate(self._ts, t, self.scratch, slope)
+            if self._system.native is not None:
+                self._ts.computeRHSFunction(t, self.scratch, slope)
+            else:
+                self._system.rate(self._ts, t, self.scratch, slope)
             states.append(self.scratch.getArray(readonly=1).copy())
             rates.append(slope.getArray(readonly=1).copy())
         return np.array(states + rates)
@@ -104,13 +120,13 @@ _APART = THIRDS[:, None] - THIRDS + np.eye(4)
 _SLOPES = np.sum(1.0 / _APART, axis=1) - 1.0  # of each Lagrange polynomial at its own node
 
 
-def _hermite(place: float, step: float) -> Array:
-    """Weights (8,) of states and rates at the thirds of a step for a place within it, 0 to 1.
+def _hermite(places: Array, step: float) -> Array:
+    """Weights (n, 8) of states and rates at the thirds of a step for places within it, 0 to 1.
 
     Hermite's formula: (1 - 2 (x - x_i) l_i'(x_i)) l_i(x)^2 and (x - x_i) l_i(x)^2 with Lagrange's
     polynomials l_i (Abramowitz and Stegun 1964, eq. 25.2.5 for l_i).
     """
-    away = place - THIRDS
-    factors = np.where(np.eye(4, dtype=bool), 1.0, away[None, :]) / _APART
-    squares = np.prod(factors, axis=1) ** 2
-    return np.concatenate([(1.0 - 2.0 * away * _SLOPES) * squares, step * away * squares])
+    away = places[:, None] - THIRDS
+    factors = np.where(np.eye(4, dtype=bool), 1.0, away[:, None, :]) / _APART
+    squares = np.prod(factors, axis=2) ** 2
+    return np.concatenate([(1.0 - 2.0 * away * _SLOPES) * squares, step * away * squares], axis=1)

@@ -30,7 +30,7 @@ from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunc
 from qbxstokes.flows.signals import NO_BOUND
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
-from qbxstokes.petsc.dense_output import FEW, Inside
+from qbxstokes.petsc.dense_output import Inside
 from qbxstokes.petsc.implicit_pace import Pace
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
@@ -203,10 +203,9 @@ class Run:
             self.reached = t
             reach = t if halt is None else halt
             behind = index if reach < times[index] else int(np.searchsorted(times, reach, "right"))
-            many = behind - index > FEW
-            while index < behind:
-                samples.append(self._inside.state_at(before, start, t, times[index], many))
-                index += 1
+            if index < behind:
+                samples += self._inside.states_at(before, start, t, times[index:behind])
+                index = behind
             if halt is not None:
                 # The run becomes one that was to end here.
                 self.stopped, last = True, self._inside.state_at(before, start, t, halt)
