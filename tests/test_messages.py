@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from conftest import Run
 import qbxstokes as qs
 from qbxstokes.case.load import case_of
 from qbxstokes.errors import CaseError, ConvergenceError, SceneError
+from qbxstokes.runs import progress
 from qbxstokes.runs.progress import _tell_of_compilation
 
 CASE = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end": 1.0}}
@@ -159,3 +161,13 @@ def test_compilation_is_told_once(capfd: pytest.CaptureFixture[str]) -> None:
     _tell_of_compilation()
     _tell_of_compilation()
     assert capfd.readouterr().err.count("compiling") == 1
+
+
+def test_a_long_motion_tells_how_far_it_is(
+    run_cli: Run, write_case: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "_LONG", 0.0)
+    write_case(CASE | {"time": {"end": 90.0, "samples": 30001}})
+    told = run_cli("case.yaml").stderr
+    assert re.match(r"qbxstokes: t = [1-8][0-9.]+ of 90, [0-9]+ steps\n", told), told
+    assert run_cli("case.yaml", "--progress", "none").stderr == ""

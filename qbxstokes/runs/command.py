@@ -16,7 +16,7 @@ from qbxstokes import folders
 from qbxstokes.errors import ConvergenceError, QbxStokesError
 from qbxstokes.runs.interrupt import Interruption
 from qbxstokes.runs.parallel import guarded, missing_message, on_root, say, world
-from qbxstokes.runs.progress import Clock
+from qbxstokes.runs.progress import Clock, compilation_told
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import LoadedCase
@@ -161,23 +161,25 @@ def compute_case(
             document, space = on_root(comm, opened)
             # Every rank makes the same of the document.
             loaded = own[0] if own else from_document(document, path, space)
-            plan = None
-            if comm.rank and loaded.case.coupled and loaded.space is None:
-                with suppress(QbxStokesError):  # what is wrong rank 0 finds, too, and tells
-                    plan = plan_of(loaded)
-            target = on_root(comm, planned)
-            plan = own[1] if own else plan
-        job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
-        sweep = loaded.case.sweep
-        if sweep is not None and sweep.store == "statistics":
-            from qbxstokes.runs.ensemble import ensemble_command
+        with compilation_told(comm, loaded.case.coupled and not options.quiet):
+            with clock.part("read and plan"):
+                plan = None
+                if comm.rank and loaded.case.coupled and loaded.space is None:
+                    with suppress(QbxStokesError):  # what is wrong rank 0 finds, too, and tells
+                        plan = plan_of(loaded)
+                target = on_root(comm, planned)
+                plan = own[1] if own else plan
+            job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
+            sweep = loaded.case.sweep
+            if sweep is not None and sweep.store == "statistics":
+                from qbxstokes.runs.ensemble import ensemble_command
 
-            return ensemble_command(job)
-        if loaded.space is not None:
-            from qbxstokes.runs.sweep import sweep_command
+                return ensemble_command(job)
+            if loaded.space is not None:
+                from qbxstokes.runs.sweep import sweep_command
 
-            return sweep_command(job)
-        return carry_out(job)
+                return sweep_command(job)
+            return carry_out(job)
 
 
 def carry_out(job: Job) -> int:

@@ -19,6 +19,7 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
 from qbxstokes.runs.parallel import on_root
+from qbxstokes.runs.progress import Advance
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.shared_rows import RowTeam, ordered, with_team
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
@@ -82,7 +83,9 @@ def _followed(
     case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
     with clock.part("motion"), pointed(job.loaded):
         watch.begin(0.0, assembled.initial)
-        receive = recording.receiver(assembled, watch)
+        speak = not job.options.quiet and job.options.progress != "none"
+        advance = Advance(float(plan.times[-1]), speak)
+        receive = recording.receiver(assembled, watch, advance)
         interruption.listening = True
         trajectory = assembled.trajectory(
             plan.times,

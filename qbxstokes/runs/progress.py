@@ -3,6 +3,7 @@
 Lines are for files and for the output of several processes, which MPI mixes line by line.
 """
 
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ STYLES = ("auto", "bar", "line", "none")
 _BAR_INTERVAL = 0.1
 _LINE_INTERVALS = (2.0, 60.0)
 _GROWTH = 1.3
+# Seconds (s) between the first words of a motion.
+_LONG = 10.0
 
 
 class Progress:
@@ -95,6 +98,24 @@ class Progress:
             parts.append(f"{failed} failed")
         print(f"qbxstokes: {', '.join(parts)}", file=sys.stderr, flush=True)
         self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])
+
+
+class Advance:
+    """Tells now and then how far a motion has come that takes more than some seconds."""
+
+    def __init__(self, end: float, speak: bool) -> None:
+        self._end = end
+        self._interval = _LONG if speak else math.inf
+        self._told = time.monotonic()
+
+    def __call__(self, t: float, steps: int) -> None:
+        """The integration is at t, after so many steps."""
+        if time.monotonic() - self._told < self._interval or t >= self._end:
+            return
+        self._told = time.monotonic()
+        self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])
+        told = f"qbxstokes: t = {t:.6g} of {self._end:.6g}, {steps} steps"
+        print(told, file=sys.stderr, flush=True)
 
 
 @cache

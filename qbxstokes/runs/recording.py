@@ -4,7 +4,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +124,11 @@ class Recording:
             span = self._interval.number * (self._plan.period or 0.0)
         return {"chunk_steps": steps, "chunk_samples": samples, "chunk_time": span}
 
-    def receiver(self, assembled: Any, events: Any) -> Any:
-        """The function that takes the integrator's chunks: the scene's, with what watches it."""
+    def receiver(self, assembled: Any, events: Any, advance: Callable[[float, int], None]) -> Any:
+        """The function that takes the integrator's chunks: the scene's, with what watches it.
+
+        advance: is told the time and the steps so far.
+        """
         if self._events is not None:
             events.restore(self._events)
 
@@ -135,6 +138,7 @@ class Recording:
                 columns = [found[name].reshape(len(chunk.times), -1) for name in self._names]
                 rows = np.concatenate([chunk.times[:, None], *columns], axis=1)
                 self._waiting.append((SAMPLES, rows))
+            advance(chunk.checkpoint.time, chunk.checkpoint.steps)
             self._waiting += events.take().items()
             self._latest = {"integrator": vars(chunk.checkpoint), "events": events.state()}
             if chunk.checkpoint.next_sample < len(self._plan.times) and self._due(chunk):
