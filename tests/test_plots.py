@@ -267,7 +267,9 @@ def test_components_of_different_size_are_parted() -> None:
         ("tau", r"$\tau$"),
         ("c/tau", r"$c/\tau$"),
         ("1/tau", r"$\tau^{-1}$"),
+        ("1/tau^2", r"$\tau^{-2}$"),
         ("mu c^3/tau", r"$\mu c^3/\tau$"),
+        ("mu/(c tau)", r"$\mu/(c \tau)$"),
         ("rad", "rad"),
     ],
 )

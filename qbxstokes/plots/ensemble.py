@@ -6,7 +6,7 @@ import numpy as np
 
 from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.picture_source import ResultLike, units
 from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import ENSEMBLE, LOOKED_AT, column
 
@@ -71,6 +71,8 @@ def distributions_figure(result: ResultLike) -> Figure:
             axes.set_xscale("log")
             axes.set_yscale("log")
             symbol = rf"{symbol}/\langle {symbol}\rangle"
+        else:
+            axes.set_ylim(bottom=0.0)
         axes.set_xlabel(f"${symbol}$")
     style.set_ylabel(next(iter(panels.values())), "density")
     return _finished(figure, list(panels.values()))
@@ -88,8 +90,9 @@ def means_figure(result: ResultLike) -> Figure:
             axes.plot(times, means[:, index], label=text, **look)
             low, high = means[:, index] - error[:, index], means[:, index] + error[:, index]
             axes.fill_between(times, low, high, color=look["color"], alpha=0.25, linewidth=0)
-        axes.set_xlabel(f"time ${ENSEMBLE['time'].symbol}$")
-        style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$")
+        axes.set_xlabel(style.label(f"time ${ENSEMBLE['time'].symbol}$", units(result, "time")))
+        unit = units(result, f"{name}_in_time")
+        style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$", unit)
     return _finished(figure, list(panels.values()))
 
 
@@ -100,7 +103,7 @@ def correlation_figure(result: ResultLike) -> Figure:
     for index, text in enumerate(_bodies(result)):
         values = result.arrays["correlation"][:, index]
         axes.plot(result.arrays["lag"], values, label=text, **style.line_style(index))
-    axes.set_xlabel(rf"lag ${ENSEMBLE['lag'].symbol}$")
+    axes.set_xlabel(style.label(rf"lag ${ENSEMBLE['lag'].symbol}$", units(result, "lag")))
     style.set_ylabel(axes, rf"${ENSEMBLE['correlation'].symbol}$")
     style.legend_above(axes)
     return figure

@@ -234,9 +234,8 @@ def units_text(units: str) -> str:
         return ""
     if units in ("rad", "deg", "s", "B"):
         return units
-    names = {"mu": r"\mu", "tau": r"\tau"}
-    words = units.replace("1/tau", r"\tau^{-1}").replace("/", " / ").split()
-    return "$" + " ".join(names.get(word, word) for word in words).replace(" / ", "/") + "$"
+    shown = re.sub(r"^1/tau\^?(\d?)$", lambda power: f"tau^{{-{power[1] or 1}}}", units)
+    return "$" + re.sub(r"\b(mu|tau)\b", r"\\\1", shown) + "$"
 
 
 def label(text: str, units: str = "") -> str:
