@@ -33,6 +33,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -308,23 +309,24 @@ class Coupled:
         x = self.bodies[c].to_body(points)
         return self.maps[c].degrees_for(x, tolerance), x
 
-    def reflected(
-        self, c: int, flow: Array, points: Array, table: Table | None = None
-    ) -> tuple[Array, Array]:
+    def reflected(self, c: int, flow: Array, points: Array) -> tuple[Array, Array]:
         """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's packed flow."""
         assert self.wall is not None
-        if table is None:
-            degrees, x = self._degrees(c, points, True)
-            table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
-        turn, size = self.bodies[c].rotation, self.bodies[c].size
-        normal = self.wall.normal
-        u, lift, push, p = table.mirrored(flow, turn.T @ normal)
-        h = self.wall.height(points)[:, None]
-        lift, push = lift @ turn.T / size, push @ turn.T / size**2
-        sum_ = 2.0 * h * lift + h * h * push
-        sum_ -= 2.0 * (sum_ @ normal)[:, None] * normal
-        pressure = p / size - 2.0 * h[:, 0] * (push @ normal) - 4.0 * (lift @ normal)
-        return sum_ - u @ turn.T, pressure
+        degrees, x = self._degrees(c, points, True)
+        table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
+        found = np.zeros((len(points), 3)), np.zeros(len(points))
+        self._answer(c, flow, table, self.wall.height(points), np.arange(len(points)), *found)
+        return found
+
+    def _answer(self, c: int, flow: Array, table: Table, heights: Array, *where: Any) -> None:
+        """Add to the rows (P,) of velocity and pressure, as `where` gives them."""
+        from qbxstokes.qbx.exterior_basis import add_answers
+
+        assert self.wall is not None
+        body = self.bodies[c]
+        normal = body.rotation.T @ self.wall.normal
+        given = table.points, table.values, flow, body.rotation, normal, body.size
+        add_answers(*given, heights, *where)
 
     def arriving(self, b: int, flows: Mapping[int, Array]) -> Array:
         """Velocity (P, 3) on what is held of body b, in its frame, of packed flows.
@@ -332,12 +334,13 @@ class Coupled:
         flows: by body, with the wall's answers; its own arrives by the wall alone.
         """
         points = self.points[b][self.held[b]]
-        total = np.zeros((len(points), 3))
+        total, pressure = np.zeros((len(points), 3)), np.zeros(len(points))
+        heights = pressure if self.wall is None else self.wall.height(points)
         for c, flow in flows.items():
             for part, table in self._tables_on(c, b, False) if c != b else ():
                 table.add_velocity(flow, self.bodies[c].rotation, part, total)
             for part, table in self._tables_on(c, b, True) if self.wall is not None else ():
-                total[part] += self.reflected(c, flow, points[part], table)[0]
+                self._answer(c, flow, table, heights[part], part, total, pressure)
         return total @ self.bodies[b].rotation
 
     # -- data and results ---------------------------------------------------------------------

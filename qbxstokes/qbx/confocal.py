@@ -205,17 +205,6 @@ class Table:
 
         add_velocities(self.points, self.values, c, turn, at, total)
 
-    def mirrored(self, c: Array, normal: Array) -> tuple[Array, Array, Array, Array]:
-        """What a wall's answer is made of, with second derivatives: u, grad(u . N), grad p, p.
-
-        c: packed, of this degree or more. normal (3,): N, in the body frame.
-        """
-        from qbxstokes.qbx.exterior_basis import mirrored
-
-        found = np.empty((len(self.points), 10))
-        mirrored(self.points, self.values, c, np.ascontiguousarray(normal), found)
-        return found[:, :3], found[:, 3:6], found[:, 6:9], found[:, 9]
-
     def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
         """Velocity and pressure, with second derivatives all of WHAT but the stress."""
         n, count = self.values.shape[:2]

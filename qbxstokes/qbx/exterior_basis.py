@@ -109,18 +109,22 @@ def add_velocities(points, table, c, turn, at, total):  # type: ignore[no-untype
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
-def mirrored(points, table, c, normal, found):  # type: ignore[no-untyped-def]
-    """Fill (P, 10): u, grad(u . N), grad p and p of the flow, of the same table and c.
+def add_answers(  # type: ignore[no-untyped-def]
+    points, table, c, turn, normal, size, heights, at, velocity, pressure
+):
+    """Add to velocity[at], turned, and pressure[at] a wall's answer to the flow of table and c.
 
-    With the second derivatives E_ij: grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B),
-    p = -2 E_i B_i. normal: N in the body frame.
+    points (P, 3): mirrored, in the body frame and in its unit of length, size; heights (P,) of the
+    others above the wall; normal (3,): N of the wall, in the body frame. c, of fewer harmonics than
+    the table or more, else as in `add_velocities`. See `bie.multiple_scattering`; with the second
+    derivatives E_ij: grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B), p = -2 E_i B_i.
     """
     n0, n1, n2 = normal[0], normal[1], normal[2]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u0, u1, u2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         q0, q1, q2, p = 0.0, 0.0, 0.0, 0.0
-        for j in range(table.shape[2]):
+        for j in range(min(table.shape[2], c.shape[1])):
             b0, b1, b2 = c[0, j], c[1, j], c[2, j]
             s = c[3, j] - x * b0 - y * b1 - z * b2
             e, e0, e1, e2 = table[0, i, j], table[1, i, j], table[2, i, j], table[3, i, j]
@@ -137,7 +141,11 @@ def mirrored(points, table, c, normal, found):  # type: ignore[no-untyped-def]
             q1 += xy * b0 + yy * b1 + yz * b2
             q2 += xz * b0 + yz * b1 + zz * b2
             p += e0 * b0 + e1 * b1 + e2 * b2
-        found[i, 0], found[i, 1], found[i, 2] = u0, u1, u2
-        found[i, 3], found[i, 4], found[i, 5] = g0, g1, g2
-        found[i, 6], found[i, 7], found[i, 8] = -2.0 * q0, -2.0 * q1, -2.0 * q2
-        found[i, 9] = -2.0 * p
+        h = heights[i] / size
+        v0, v1, v2 = 2.0 * h * (g0 - h * q0), 2.0 * h * (g1 - h * q1), 2.0 * h * (g2 - h * q2)
+        back = 2.0 * (v0 * n0 + v1 * n1 + v2 * n2)
+        v0, v1, v2 = v0 - back * n0 - u0, v1 - back * n1 - u1, v2 - back * n2 - u2
+        for a in range(3):
+            velocity[at[i], a] += turn[a, 0] * v0 + turn[a, 1] * v1 + turn[a, 2] * v2
+        lift, push = g0 * n0 + g1 * n1 + g2 * n2, q0 * n0 + q1 * n1 + q2 * n2
+        pressure[at[i]] += (4.0 * h * push - 2.0 * p - 4.0 * lift) / size
