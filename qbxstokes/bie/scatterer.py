@@ -8,15 +8,18 @@ radius.
 """
 
 from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
 
 import numpy as np
 
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.qbx.confocal import triangle
 from qbxstokes.qbx.exterior import SurfaceToExterior
 from qbxstokes.typing import Array, Integers
 
-_LOW = 6  # numbers of degrees 0 and 1, which hold force and torque
+# Numbers of degrees 0 and 1, which hold force and torque; polar nodes of a fine grid.
+_LOW, _FINE = 6, 24
 
 
 class Scatterer(SurfaceToExterior):
@@ -66,6 +69,22 @@ class Scatterer(SurfaceToExterior):
         found, k = np.empty(len(points), dtype=np.int64), self.harmonics.ratio_of_axes
         degrees_for(np.ascontiguousarray(points), k, tolerance, self.harmonics.degree, found)
         return found
+
+    @cached_property
+    def lowest(self) -> tuple[Array, Array]:
+        """Velocities (M, N, 3) linear in the place, on fine grids of discs quadratic; their flows.
+
+        Orthonormal with the weights; packed flows, of harmonics of one degree more at most.
+        """
+        fine = self.grid.n_theta >= _FINE and self.harmonics.ratio_of_axes > 1.0
+        x, degree = self.grid.points, 2 if fine else 1
+        powers = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(3), 2)]
+        functions = np.stack([np.ones(len(x)), *x.T, *(powers[:5] if degree == 2 else ())], axis=1)
+        functions = np.linalg.qr(self.root_weights * functions)[0] / self.root_weights
+        found = [np.outer(f, e) for f in functions.T for e in np.eye(3)]
+        below = 2 * int(triangle(degree + 3, degree + 2)[2][-1])
+        flows = [self.packed(v, self.inverse)[:, :below] for v in found]
+        return np.stack(found), np.ascontiguousarray(np.stack(flows))
 
     def moving(self, motion: Array) -> Array:
         """Packed flow of the body moving alone (6,)."""

@@ -118,7 +118,7 @@ def test_spheroids_side_by_side(see: See, count: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("gap", "bar"), [(0.3, 14), (0.1, 25)])
 def test_iterations_are_few(see: See, gap: float, bar: int) -> None:
-    """GMRES to 1e-8 for two spheroids side by side, of given motion and free."""
+    """GMRES to 1e-8 for two spheroids side by side and one by a wall, of given motion and free."""
     for k in (0.2, 0.5, 1.0, 2.0):
         # The system is solved a hundred times more closely than the tolerance says.
         pair = qs.Suspension([qs.Body(k)] * 2, tolerance=1e-6)
@@ -127,6 +127,12 @@ def test_iterations_are_few(see: See, gap: float, bar: int) -> None:
         held = pair.held(None, x, velocity=motion, nodes=nodes).iterations
         free = pair.free(SHEAR, x, force=[1, 0, 1], nodes=nodes).iterations
         see(max(held, free), bar, f"k = {k:g}")
+        one, n = qs.Suspension([qs.Body(k)], UP, tolerance=1e-6), [20 if gap > 0.2 else 28]
+        for axis in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.8]):
+            above = [[0.0, 0.0, np.hypot(axis[2], k * axis[0]) + gap]]
+            held = one.held(None, above, [axis], velocity=motion[0], nodes=n).iterations
+            free = one.free(None, above, [axis], force=[1, 0, 1], nodes=n).iterations
+            see(max(held, free), bar, f"k = {k:g} by a wall, axis {axis}")
 
 
 @pytest.mark.slow
