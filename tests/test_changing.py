@@ -391,3 +391,15 @@ def test_quantities_at_many_instants_are_those_at_each(stokes: float) -> None:
         for i in range(len(times)):
             one = together.observe(times[i : i + 1], states[i : i + 1], wanted)
             assert all(np.array_equal(one[name][0], found[name][i]) for name in wanted)
+
+
+def test_steps_of_several_bodies_end_at_samples() -> None:
+    """Two bodies far from each other, in a gradient that is held, as one of them alone."""
+    times = np.linspace(0.0, 1.0, 4)
+    series = qs.GradientSeries(times, [cosines(3)(7.0 * t) for t in times], interpolation="hold")
+    flow, body = qs.flow("linear", gradient=series), qs.Body(0.5)
+    alone = body.integrate(flow, [1.0], orientation=AXIS, tolerance=1e-9)
+    places = {"position": [[0, 0, 0], [0, 300, 0]], "orientation": [AXIS, [0, 0, 1]]}
+    two = qs.Simulation([body, body], flow, **places, tolerance=1e-5).assemble().motion([1.0])
+    assert np.abs(two.axis[-1, 0] - alone.axis[-1]).max() < 1e-7
+    assert two.summary["steps"] < 30

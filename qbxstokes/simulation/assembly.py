@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -20,7 +21,7 @@ from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import build_events, watched
-from qbxstokes.simulation.flow_watch import FlowWatch, require_stokesian
+from qbxstokes.simulation.flow_watch import FlowWatch, breaks_of, require_stokesian
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -38,9 +39,6 @@ Maker = Callable[["Simulation", Workshop], Hydrodynamic]
 _STEPS_IN_TIME = 50.0
 # Instants at which such a flow is checked before the run.
 _INSTANTS_CHECKED = 11
-# What the roughness of samples may come to in a step, in the error that falls to it: it changes its
-# sign from sample to sample, and a step as long as it may be passes several of them.
-_ROUGH = 2.0
 _EPSILON = 2.0**-52
 # Steps of a single lane between cuts, where a run can be resumed: a fraction of a second of work
 # or some seconds, by how the free motion is found; and samples at most.
@@ -109,22 +107,17 @@ class Assembled:
             times,
             self.tolerance,
             longest_step=longest,
-            breaks=self._breaks(end, longest),
+            breaks=self._breaks(end, longest or math.inf),
             watch=FlowWatch(self, end),
             **{**limits, **settings},
         )
 
-    def _breaks(self, end: float, longest: float | None) -> Array:
-        """Instants at which some flow is not smooth: steps end there.
-
-        A gradient may be as rough as the error allows that falls to a step.
-        """
-        rough = 0.0
-        if longest and self.equations.changing is not None:
+    def _breaks(self, end: float, longest: float) -> Array:
+        """`flow_watch.breaks_of` all flows."""
+        local = 0.0
+        if self.equations.changing is not None:
             local = self.tolerance / self.equations.sensitivity(0.0, self.initial, end)
-            rough = _ROUGH * local / longest
-        found = np.unique(np.concatenate([part.flow.breaks(end, rough) for part in self.parts]))
-        return found[(found > 0.0) & (found < end)]
+        return breaks_of([part.flow for part in self.parts], end, local / longest)
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.

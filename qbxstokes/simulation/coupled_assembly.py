@@ -24,6 +24,7 @@ from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import split_columns, watched
+from qbxstokes.simulation.flow_watch import BreakWatch, breaks_of
 from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
 
@@ -179,6 +180,8 @@ class Together:
             self.scene.tolerance,
             method="5dp" if local > _LOOSE else "8vr",
             longest_step=longest,
+            breaks=() if flow is None else breaks_of([flow], end, local / (longest or math.inf)),
+            watch=BreakWatch([] if flow is None else [flow]),
             **{**limits, **settings},
         )
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian, seems_stokesian
@@ -11,6 +14,7 @@ from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
+    from qbxstokes.flows import Flow
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.simulation import Simulation
 
@@ -19,9 +23,33 @@ if TYPE_CHECKING:
 _STEPS_BETWEEN_CHECKS, _MOST_LOOKS = 10, 50.0
 # Share of the tolerance of a run that the grid on the surface may take.
 _SHARE = 0.1
+# What the roughness of samples may come to in a step, in the error that falls to it: it changes its
+# sign from sample to sample, and a step as long as it may be passes several of them.
+_ROUGH = 2.0
 
 
-class FlowWatch(Watch):
+def breaks_of(flows: Sequence[Flow], end: float, error: float) -> Array:
+    """Instants at which some flow is not smooth: steps end there.
+
+    error: that falls to a step over the longest one, as rough as which a gradient may be.
+    """
+    found = np.unique(np.concatenate([flow.breaks(end, _ROUGH * error) for flow in flows]))
+    return np.asarray(found[(found > 0.0) & (found < end)])
+
+
+class BreakWatch(Watch):
+    """Lets flows show themselves as before a break while a step goes up to it."""
+
+    def __init__(self, flows: Sequence[Flow]) -> None:
+        self._flows = flows
+
+    def until(self, t: float) -> None:
+        """Let all flows show themselves as before the break t."""
+        for flow in self._flows:
+            flow.until(t)
+
+
+class FlowWatch(BreakWatch):
     """As `petsc.trajectory.Watch`, of all scenes that are integrated together up to `end`.
 
     Functions that were recognised as polynomials are held against these where a step has ended,
@@ -35,7 +63,7 @@ class FlowWatch(Watch):
         self._parts = list(zip(assembled.parts, assembled.slices(), strict=True))
         parts = assembled.parts
         flows = (flow for part in parts for flow in (part.flow, part.carrier))
-        self._flows = list({id(flow): flow for flow in flows}.values())
+        super().__init__(list({id(flow): flow for flow in flows}.values()))
         self._users = [entry for entry in self._parts if not entry[0].flow.singular_points_known]
         self._motions: list[tuple[Any, slice, tuple[float, float]]] = []
         for (part, lanes), formed in zip(self._parts, assembled.hydrodynamics, strict=True):
@@ -46,11 +74,6 @@ class FlowWatch(Watch):
                 self._motions.append((formed.provider, lanes, (allowed, slower)))
         self._count, self._looks, self._looked, self._apart = 0, 0, 0.0, end / _MOST_LOOKS
         self.looks = bool(self._users or self._motions)
-
-    def until(self, t: float) -> None:
-        """Let all flows show themselves as before the break t."""
-        for flow in self._flows:
-            flow.until(t)
 
     def begin(self, t: float, states: Array) -> None:
         """Choose the grids of the steps to come."""
