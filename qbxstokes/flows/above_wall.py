@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
 from qbxstokes.flows.differences import gradient_of, laplacian_of
-from qbxstokes.flows.domain import Domain, Plane
+from qbxstokes.flows.domain import Plane
 from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.values import check_keys
 from qbxstokes.typing import Array
@@ -39,6 +39,8 @@ class AboveWall(Transformable):
         if points[:, 1].min() <= 0.0:
             raise FlowError("flow 'above_wall' needs its singular points above x2 = 0")
         self.flow, self.length, self.spacing = flow, flow.length, flow.spacing
+        self.steady, self.domain = flow.steady, (*flow.domain, Plane(np.zeros(3), _UP))
+        self.singular_points = points  # those of its image are behind the wall
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
@@ -100,21 +102,6 @@ class AboveWall(Transformable):
     ) -> Array:
         """Zero: the image is a Stokes flow where the flow is one."""
         return self.flow.vorticity_of_laplacian(x, t, reach)
-
-    @property
-    def steady(self) -> bool:
-        """Whether the flow is."""
-        return self.flow.steady
-
-    @property
-    def singular_points(self) -> Array:
-        """Those of the flow; those of its image are behind the wall."""
-        return self.flow.singular_points
-
-    @property
-    def domain(self) -> Domain:
-        """Above the wall."""
-        return (*self.flow.domain, Plane(np.zeros(3), _UP))
 
     def spec(self) -> dict[str, Any]:
         """Specification with that of the flow."""

@@ -41,6 +41,11 @@ class Flow(ABC):
     length: float = 1.0  # over which the flow varies; the largest step of differences is a fifth
     recognise: bool = True  # as a polynomial, where a function is one (`flows.recognition`)
     spacing: float = math.inf  # longest step that misses nothing of what changes in time
+    steady: bool = True  # whether it is known not to depend on time
+    degree: int | None = None  # of a polynomial, None for another flow
+    singular_points: Array = np.empty((0, 3))  # where it is singular
+    singular_points_known: bool = True  # whether it is singular nowhere else, for certain
+    domain: Domain = ()  # surfaces inside which it is known, such as walls; none: it fills space
 
     @abstractmethod
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
@@ -110,31 +115,6 @@ class Flow(ABC):
     def polynomial(self) -> PolynomialFlow | None:
         """The same flow as one polynomial about the space origin, where it is one."""
         return None
-
-    @property
-    def degree(self) -> int | None:
-        """Polynomial degree, None for a flow that is not polynomial."""
-        return None
-
-    @property
-    def steady(self) -> bool:
-        """Whether the flow is known not to depend on time."""
-        return True
-
-    @property
-    def singular_points(self) -> Array:
-        """Points where the flow is singular, shape (n, 3)."""
-        return np.empty((0, 3))
-
-    @property
-    def singular_points_known(self) -> bool:
-        """Whether the flow is singular nowhere but at `singular_points`, for certain."""
-        return True
-
-    @property
-    def domain(self) -> Domain:
-        """The surfaces inside which the flow is known, such as walls; none: it fills space."""
-        return ()
 
     @abstractmethod
     def spec(self) -> dict[str, Any]:
@@ -260,6 +240,10 @@ class SumFlow(Flow):
         self.length = min(flow.length for flow in self.terms)
         self.spacing = min(flow.spacing for flow in self.terms)
         self.recognise = all(flow.recognise for flow in self.terms)
+        self.steady = all(flow.steady for flow in self.terms)
+        self.singular_points = np.concatenate([flow.singular_points for flow in self.terms])
+        self.singular_points_known = all(flow.singular_points_known for flow in self.terms)
+        self.domain = tuple(dict.fromkeys(edge for flow in self.terms for edge in flow.domain))
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
@@ -314,26 +298,6 @@ class SumFlow(Flow):
         """So do all terms."""
         for flow in self.terms:
             flow.until(t)
-
-    @property
-    def steady(self) -> bool:
-        """Whether all terms are."""
-        return all(flow.steady for flow in self.terms)
-
-    @property
-    def singular_points(self) -> Array:
-        """Singular points of all terms (n, 3)."""
-        return np.concatenate([flow.singular_points for flow in self.terms])
-
-    @property
-    def singular_points_known(self) -> bool:
-        """Whether all terms' are."""
-        return all(flow.singular_points_known for flow in self.terms)
-
-    @property
-    def domain(self) -> Domain:
-        """Where all terms are known."""
-        return tuple(dict.fromkeys(edge for flow in self.terms for edge in flow.domain))
 
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""

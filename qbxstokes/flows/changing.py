@@ -64,7 +64,10 @@ class ChangingFlow(SumFlow):
         super().__init__(terms)
         self.spacing = min(self.spacing, signal.spacing)
         self.units, self.still = self.terms[: len(units)], None if still is None else terms[-1]
-        self._degree = max([1, *(flow.degree for flow in self.polynomials)])
+        self.steady = False
+        if self.polynomials:
+            self.degree = max(1, *(flow.degree for flow in self.polynomials))
+        self.singular_points = np.unique(self.singular_points, axis=0)
         self._known: tuple[float, PolynomialFlow] | None = None
         self._factors(np.zeros(1))
 
@@ -125,11 +128,6 @@ class ChangingFlow(SumFlow):
         pairs = zip(factors, self.terms, strict=True)
         return np.asarray(sum(f * getattr(flow, name)(x, t, *more) for f, flow in pairs))
 
-    @property
-    def singular_points(self) -> Array:
-        """Singular points of all terms (n, 3), each once."""
-        return np.asarray(np.unique(super().singular_points, axis=0))
-
     def odd_about(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether u(x + r) = -u(x - r) for all r at all times, exactly, shape (...)."""
         if self.degree == 1:
@@ -137,16 +135,6 @@ class ChangingFlow(SumFlow):
             found = np.einsum("mij,...j->...mi", self._ranks[1], arm) + self._ranks[0]
             return np.asarray(~np.any(found, axis=(-2, -1)))
         return np.asarray(np.all([flow.odd_about(x) for flow in self.polynomials], axis=0))
-
-    @property
-    def degree(self) -> int | None:
-        """The largest of its polynomials, None where other flows are among them."""
-        return self._degree if self.polynomials else None
-
-    @property
-    def steady(self) -> bool:
-        """False."""
-        return False
 
     def spec(self) -> dict[str, Any]:
         """The specification, where it can be written down."""

@@ -44,6 +44,7 @@ class PolynomialFlow(Flow):
 
     type_name = "polynomial"
     linear_in: ClassVar[tuple[str, ...]] = ("coefficients", *_TENSOR_KEYS)
+    degree: int  # 0 to 3; terms that are exactly zero do not count
 
     def __init__(
         self,
@@ -58,7 +59,7 @@ class PolynomialFlow(Flow):
 
         domain: the surfaces inside which the flow is known, in space.
         """
-        self._domain = domain
+        self.domain = domain
         tensors = []
         for rank, (name, given) in enumerate(
             zip(_TENSOR_KEYS, (value, gradient, hessian, third), strict=True), start=1
@@ -77,7 +78,7 @@ class PolynomialFlow(Flow):
         self.hessian: Array = tensors[2]
         self.third: Array = tensors[3]
         self.origin: Array = tensor(origin, "origin", (3,))
-        self._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
+        self.degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
         self._spec: dict[str, Any] | None = None
 
     # -- construction -----------------------------------------------------------------------
@@ -87,8 +88,8 @@ class PolynomialFlow(Flow):
         """The flow of four tensors that are known to be right."""
         flow = PolynomialFlow.__new__(PolynomialFlow)
         flow.value, flow.gradient_tensor, flow.hessian, flow.third = tensors
-        flow.origin, flow._domain, flow._spec = origin, domain, None
-        flow._degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
+        flow.origin, flow.domain, flow._spec = origin, domain, None
+        flow.degree = max([rank for rank in (1, 2, 3) if tensors[rank].any()], default=0)
         return flow
 
     @classmethod
@@ -182,7 +183,7 @@ class PolynomialFlow(Flow):
     def coefficients(self) -> dict[Exponents, Array]:
         """Monomial exponents of x - origin -> coefficients (3,) of the components, no zeros."""
         result: dict[Exponents, Array] = {}
-        for degree, derivatives in enumerate(self.tensors[: self._degree + 1]):
+        for degree, derivatives in enumerate(self.tensors[: self.degree + 1]):
             for index in product(range(3), repeat=degree):
                 if list(index) != sorted(index):
                     continue
@@ -224,7 +225,7 @@ class PolynomialFlow(Flow):
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3): one product of the monomials present with their coefficients."""
         points = self._from_origin(x)
-        if self._degree <= 1:
+        if self.degree <= 1:
             return np.asarray(points @ self.gradient_tensor.T + self.value)
         powers, matrix = self._monomials
         monomials = np.empty((*points.shape[:-1], len(powers)))
@@ -258,9 +259,9 @@ class PolynomialFlow(Flow):
         third = np.broadcast_to(self.third, (*lead, 3, 3, 3, 3))
         hessian = np.broadcast_to(self.hessian, (*lead, 3, 3, 3))
         gradient = np.broadcast_to(self.gradient_tensor, (*lead, 3, 3))
-        if self._degree >= 2:
+        if self.degree >= 2:
             gradient = gradient + (points @ self.hessian.reshape(9, 3).T).reshape(*lead, 3, 3)
-        if self._degree >= 3:
+        if self.degree >= 3:
             slope = (points @ self.third.reshape(27, 3).T).reshape(*lead, 3, 3, 3)
             hessian = hessian + slope
             gradient = gradient + 0.5 * np.matmul(slope, points[..., None, :, None])[..., 0]
@@ -302,11 +303,6 @@ class PolynomialFlow(Flow):
         """The flow itself."""
         return self
 
-    @property
-    def degree(self) -> int:
-        """Polynomial degree, 0 to 3 (terms that are exactly zero do not count)."""
-        return self._degree
-
     def spec(self) -> dict[str, Any]:
         """Specification; without a name of its own, the tensors of the flow."""
         if self._spec is not None:
@@ -322,7 +318,7 @@ class PolynomialFlow(Flow):
     def shifted(self, displacement: ArrayLike) -> PolynomialFlow:
         """The flow moved, u'(x) = u(x - displacement): its origin moves."""
         way = tensor(displacement, "position", (3,))
-        flow = self.of(self.tensors, self.origin + way, moved(self._domain, np.eye(3), way))
+        flow = self.of(self.tensors, self.origin + way, moved(self.domain, np.eye(3), way))
         return self._carried(flow, np.eye(3), way)
 
     def about(self, origin: ArrayLike) -> PolynomialFlow:
@@ -331,7 +327,7 @@ class PolynomialFlow(Flow):
         return (
             self
             if np.array_equal(place, self.origin)
-            else self.of(self.derivatives(place), place, self._domain)
+            else self.of(self.derivatives(place), place, self.domain)
         )
 
     def rotated(self, rotation: ArrayLike) -> PolynomialFlow:
@@ -342,23 +338,23 @@ class PolynomialFlow(Flow):
             "ai,bj,ck,dl,ijkl->abcd", turn, turn, turn, turn, self.third, optimize=True
         )
         tensors = (turn @ self.value, turn @ self.gradient_tensor @ turn.T, hessian, third)
-        flow = self.of(tensors, turn @ self.origin, moved(self._domain, turn, np.zeros(3)))
+        flow = self.of(tensors, turn @ self.origin, moved(self.domain, turn, np.zeros(3)))
         return self._carried(flow, turn, np.zeros(3))
 
     def scaled(self, factor: float) -> PolynomialFlow:
         """The flow times a number."""
         s = number(factor, "factor")
         tensors = [s * derivatives for derivatives in self.tensors]
-        flow = self.of(tensors, self.origin, self._domain)
+        flow = self.of(tensors, self.origin, self.domain)
         spec = {"type": "transformed", "flow": self.spec(), "factor": s}
-        return flow.named(spec) if self._domain else flow
+        return flow.named(spec) if self.domain else flow
 
     def _carried(self, flow: PolynomialFlow, turn: Array, way: Array) -> PolynomialFlow:
         """This flow turned and moved, with a specification that tells of its walls.
 
         Tensors alone would leave them out; a flow without walls is written down as its tensors.
         """
-        if self._domain and self._spec is not None:
+        if self.domain and self._spec is not None:
             rotation = turn @ rotation_matrix(self._spec.get("rotation", np.eye(3)))
             position = (
                 turn @ tensor(self._spec.get("position", np.zeros(3)), "position", (3,)) + way
@@ -370,13 +366,13 @@ class PolynomialFlow(Flow):
     def plus(self, other: PolynomialFlow) -> PolynomialFlow:
         """Sum of two polynomial flows as one, about the origin of the first."""
         pairs = zip(self.tensors, other.about(self.origin).tensors, strict=True)
-        domain = self._domain + other.domain
+        domain = self.domain + other.domain
         flow = self.of([one + two for one, two in pairs], self.origin, domain)
         return flow.named({"type": "sum", "terms": [self.spec(), other.spec()]}) if domain else flow
 
     def named(self, spec: Mapping[str, Any]) -> PolynomialFlow:
         """The same flow, remembering the specification it was built from."""
-        flow = self.of(self.tensors, self.origin, self._domain)
+        flow = self.of(self.tensors, self.origin, self.domain)
         flow._spec = dict(spec)
         return flow
 
@@ -384,11 +380,6 @@ class PolynomialFlow(Flow):
     def tensors(self) -> tuple[Array, Array, Array, Array]:
         """Value, gradient, second and third derivatives at the origin."""
         return self.value, self.gradient_tensor, self.hessian, self.third
-
-    @property
-    def domain(self) -> Domain:
-        """The surfaces inside which the flow is known."""
-        return self._domain
 
     def _from_origin(self, x: ArrayLike) -> Array:
         """Points relative to the origin."""

@@ -6,9 +6,8 @@ Pozrikidis 1992, Boundary Integral and Singularity Methods, chapters 2 and 7).
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,8 +31,13 @@ def _outer(a: Array, b: Array) -> Array:
 class Singularity(Flow):
     """A singularity of a given strength (vector or tensor) at a point; decays at infinity."""
 
-    strength: Array
-    position: Array
+    linear_in = ("strength",)
+    rank: ClassVar[int] = 1  # of the strength
+
+    def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.strength = tensor(strength, "strength", (3,) * self.rank)
+        self.position = tensor(position, "position", (3,))
+        self.singular_points = self.position[None, :]
 
     def _arms(self, x: ArrayLike) -> tuple[Array, Array]:
         """r = x - position (..., 3) and 1/|r| (...); infinite at the singularity itself."""
@@ -41,11 +45,6 @@ class Singularity(Flow):
         with np.errstate(divide="ignore"):
             inverse: Array = 1.0 / np.sqrt(_dot(arm, arm))
         return arm, inverse
-
-    @property
-    def singular_points(self) -> Array:
-        """The position, shape (1, 3)."""
-        return self.position[None, :]
 
     def spec(self) -> dict[str, Any]:
         """Specification: strength and position."""
@@ -55,13 +54,10 @@ class Singularity(Flow):
             "position": self.position.tolist(),
         }
 
-    @abstractmethod
-    def _with(self, strength: Array, position: Array) -> Flow:
-        """The same kind of singularity with another strength at another point."""
-
     def shifted(self, displacement: ArrayLike) -> Flow:
         """The singularity moved."""
-        return self._with(self.strength, self.position + tensor(displacement, "position", (3,)))
+        moved = self.position + tensor(displacement, "position", (3,))
+        return type(self)(self.strength, moved)
 
     def rotated(self, rotation: ArrayLike) -> Flow:
         """The singularity turned about the space origin, position and strength alike."""
@@ -69,25 +65,17 @@ class Singularity(Flow):
         strength = turn @ self.strength
         if strength.ndim == 2:
             strength = strength @ turn.T
-        return self._with(strength, turn @ self.position)
+        return type(self)(strength, turn @ self.position)
 
     def scaled(self, factor: float) -> Flow:
         """The singularity with its strength times a number."""
-        return self._with(number(factor, "factor") * self.strength, self.position)
+        return type(self)(number(factor, "factor") * self.strength, self.position)
 
 
 class Stokeslet(Singularity):
     """Point force F (the strength) on the fluid: u = (F/r + r (F.r)/r^3)/(8 pi)."""
 
     type_name = "stokeslet"
-    linear_in = ("strength",)
-
-    def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        self.strength = tensor(strength, "strength", (3,))
-        self.position = tensor(position, "position", (3,))
-
-    def _with(self, strength: Array, position: Array) -> Stokeslet:
-        return Stokeslet(strength, position)
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
@@ -125,16 +113,11 @@ class Rotlet(Singularity):
     """Point torque M (the strength) on the fluid: u = M x r/(8 pi r^3); no pressure."""
 
     type_name = "rotlet"
-    linear_in = ("strength",)
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        self.strength = tensor(strength, "strength", (3,))
-        self.position = tensor(position, "position", (3,))
+        super().__init__(strength, position)
         a, b, c = self.strength
         self._cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
-
-    def _with(self, strength: Array, position: Array) -> Rotlet:
-        return Rotlet(strength, position)
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""
@@ -165,7 +148,7 @@ class Stresslet(Singularity):
     """
 
     type_name = "stresslet"
-    linear_in = ("strength",)
+    rank = 2
 
     @classmethod
     def unchecked(cls, spec: Mapping[str, Any], build: Build) -> Stresslet:
@@ -177,14 +160,10 @@ class Stresslet(Singularity):
 
     def __init__(self, strength: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Raises FlowError unless the strength is symmetric and traceless."""
-        self.strength = tensor(strength, "strength", (3, 3))
-        self.position = tensor(position, "position", (3,))
+        super().__init__(strength, position)
         symmetric = 0.5 * (self.strength + self.strength.T)
         must = "strength of a stresslet must be symmetric (a rotlet carries the rest) and traceless"
         self.strength = settled(self.strength, traceless(symmetric), must, ("strength",))
-
-    def _with(self, strength: Array, position: Array) -> Stresslet:
-        return Stresslet(strength, position)
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Build, Flow
-from qbxstokes.flows.domain import Domain, moved
+from qbxstokes.flows.domain import moved
 from qbxstokes.flows.values import check_keys, number, tensor
 from qbxstokes.typing import Array
 
@@ -35,7 +35,10 @@ class TransformedFlow(Flow):
         self.position = tensor(position, "position", (3,))
         self.factor = number(factor, "factor")
         self.length, self.spacing = flow.length, flow.spacing
-        self.recognise = flow.recognise
+        self.recognise, self.steady = flow.recognise, flow.steady
+        self.singular_points = flow.singular_points @ self.rotation.T + self.position
+        self.singular_points_known = flow.singular_points_known
+        self.domain = moved(flow.domain, self.rotation, self.position)
 
     @classmethod
     def keys(cls) -> dict[str, Any]:
@@ -93,26 +96,6 @@ class TransformedFlow(Flow):
     ) -> Array:
         """Curl of the Laplacian (..., 3)."""
         return self._turn_vector(self.flow.vorticity_of_laplacian(self._inner(x), t, reach))
-
-    @property
-    def steady(self) -> bool:
-        """Whether the flow is."""
-        return self.flow.steady
-
-    @property
-    def singular_points(self) -> Array:
-        """Singular points (n, 3), moved with the flow."""
-        return np.asarray(self.flow.singular_points @ self.rotation.T + self.position)
-
-    @property
-    def singular_points_known(self) -> bool:
-        """Whether the flow's are."""
-        return self.flow.singular_points_known
-
-    @property
-    def domain(self) -> Domain:
-        """Where the flow is known, moved with it."""
-        return moved(self.flow.domain, self.rotation, self.position)
 
     def spec(self) -> dict[str, Any]:
         """Specification that moves, turns and scales that of the flow."""

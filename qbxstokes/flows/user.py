@@ -57,6 +57,7 @@ class UserFlow(Transformable):
     """
 
     type_name = "user"
+    singular_points_known = False  # a function cannot be looked into
 
     def __init__(
         self,
@@ -87,20 +88,18 @@ class UserFlow(Transformable):
         found: Any = function if given_itself else load_function(str(function))
         self.function = found
         self.name = function if isinstance(function, str) else _name_of(function)
-        if singular_points is None or np.size(singular_points) == 0:
-            self._singular_points = np.empty((0, 3))
-        else:
+        if singular_points is not None and np.size(singular_points):
             shape = (len(np.atleast_2d(singular_points)), 3)
-            self._singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
+            self.singular_points = tensor(np.atleast_2d(singular_points), "singular_points", shape)
         self.compiled, self.point_function = compiled, None
         self.recognise = recognise
         if compiled:
             from qbxstokes.flows.compiled import compiled_function, field_of
 
             self.point_function, timed = compiled_function(self.function, self.parameters)
-            self._takes_time, self._field = timed, field_of(self.point_function)
+            self.steady, self._field = not timed, field_of(self.point_function)
         else:
-            self._takes_time = self._has_time()
+            self.steady = not self._has_time()
             self._field = partial(self._called, self.function)
         given = {"gradient": gradient, "hessian": hessian}
         self._given = {name: value for name, value in given.items() if value is not None}
@@ -111,7 +110,7 @@ class UserFlow(Transformable):
         self._agreed = not self._known
 
     def _called(self, function: Callable[..., Any], x: Array, t: float) -> Any:
-        time = (t,) if self._takes_time else ()
+        time = () if self.steady else (t,)
         return function(x.copy(), *time, **self.parameters)
 
     def _has_time(self) -> bool:
@@ -220,21 +219,6 @@ class UserFlow(Transformable):
         result: Array = slope @ (0.5 * weights)
         return result
 
-    @property
-    def steady(self) -> bool:
-        """Whether the function takes no time."""
-        return not self._takes_time
-
-    @property
-    def singular_points(self) -> Array:
-        """Singular points as declared, (n, 3)."""
-        return self._singular_points
-
-    @property
-    def singular_points_known(self) -> bool:
-        """False: a function cannot be looked into."""
-        return False
-
     def spec(self) -> dict[str, Any]:
         """Specification; `function` names a file if it was given so."""
         in_file = self.name.rpartition(":")[0].endswith((".py", *LIBRARIES))
@@ -242,7 +226,7 @@ class UserFlow(Transformable):
             "type": self.type_name,
             "function": self.name if in_file else self.function,
             "length": self.length,
-            "singular_points": self._singular_points.tolist(),
+            "singular_points": self.singular_points.tolist(),
             "parameters": self.parameters,
             **({"longest_step": self.spacing} if self.spacing < math.inf else {}),
             **({"compiled": True} if self.compiled else {}),
