@@ -83,36 +83,14 @@ class CoupledEquations(RigidBodyEquations):
         self.layout = Layout(self.n_state, 1, self.n_lanes)
         self.constraints = Constraints()
         self.evaluation, self.inertia = "plain", "both"
-        self._ratios, self._relaxation = ratios, relaxation
+        self.effective_ratio, self.stiffness = ratios, relaxation
+        # Many instants are not asked for at once, and what drag does is a matter of all bodies.
+        self.steady, self.free_of_torque = False, False
+        self.relaxation_rates = np.zeros((4, self.n_lanes))
         self._mass = stokes_number * volume
         self._moments = stokes_number[:, None] * inertia
-        self._table, self._loads, self.changing, self._force_free = None, None, None, False
+        self._table, self._loads, self.changing = None, None, None
         self._latest: tuple[float, Array, tuple[Array, Array]] | None = None
-
-    @property
-    def effective_ratio(self) -> Array:
-        """Ratios k of the bodies (N,)."""
-        return self._ratios
-
-    @property
-    def free_of_torque(self) -> bool:
-        """Whether the fluid exerts neither force nor torque on any body: not known."""
-        return False
-
-    @property
-    def steady(self) -> bool:
-        """Whether many instants can be asked for at once: each is a problem of its own."""
-        return False
-
-    @property
-    def relaxation_rates(self) -> Array:
-        """Of one body alone (4, N): zero, since what drag does is a matter of all of them."""
-        return np.zeros((4, self.n_lanes))
-
-    @property
-    def stiffness(self) -> Array:
-        """Fastest relaxation rate of each body alone, (N,); zero for St = 0."""
-        return self._relaxation
 
     @property
     def function_rows(self) -> None:
@@ -203,7 +181,7 @@ class CoupledEquations(RigidBodyEquations):
         As that of the most slender body alone; a gradient carries bodies apart that are off, and
         bodies that meet part further off than they came.
         """
-        slenderness = np.maximum(self._ratios, 1.0 / self._ratios)
+        slenderness = np.maximum(self.effective_ratio, 1.0 / self.effective_ratio)
         turns = self.time_rate(t, y) * horizon / (2.0 * np.pi * slenderness)
         alone = np.max(slenderness * slenderness * np.maximum(1.0, turns))
         carried = np.linalg.norm(self._flow_gradient(t, y), axis=(1, 2)).max() * horizon

@@ -106,7 +106,7 @@ class RigidBodyEquations(Pieces):
     @property
     def direct(self) -> bool:
         """Whether the provider finds dy/dt itself."""
-        own = self._force_free and hasattr(self._provider, "rates")
+        own = self.free_of_torque and hasattr(self._provider, "rates")
         return own or self._of_run is not None
 
     @property
@@ -138,7 +138,7 @@ class RigidBodyEquations(Pieces):
             return None
         rows = np.zeros((21, self.n_lanes))
         if not self.massless:
-            rows[:4], rows[8] = self._rates, self.bodies.gyration
+            rows[:4], rows[8] = self.relaxation_rates, self.bodies.gyration
         if self._loads is not None:
             rows[4:8], rows[9:] = 1.0 / self.bodies.resistance, self._loads.rows
         return self._provider, rows
@@ -184,7 +184,7 @@ class RigidBodyEquations(Pieces):
             flow if flow.ndim == 1 else flow[: taylor.ROWS[degree]],
             body if body.ndim == 1 else body[: kernels.ROWS[degree]],
             None if self._loads is None else self._loads.rows,
-            None if self.massless else self._rates,
+            None if self.massless else self.relaxation_rates,
             self._follow,
             changing=self.changing,
         )
@@ -258,7 +258,7 @@ class RigidBodyEquations(Pieces):
         given, several = self._loads, self.n_lanes > 1
         handed = given is not None and (several or not given.steady)
         loads = None if given is None or handed else self._rows(given.rows)
-        rates = self._rows(self._rates)
+        rates = self._rows(self.relaxation_rates)
         n_rates = 4 if several and not self.massless else 0
 
         bodies = self.bodies
@@ -278,7 +278,7 @@ class RigidBodyEquations(Pieces):
         if self._flows.shared and bodies.models.shared:
             key = None
             if not several:  # the constants, of which scenes that are alike have the same
-                unread = self._force_free  # NaN, which equals nothing
+                unread = self.free_of_torque  # NaN, which equals nothing
                 made = bodies.kernels.__name__, self._flow, bodies.law, bodies.gyration
                 more = None if unread else (bodies.mobility, tuple(rates), self._follow)
                 key = *made, more, None if loads is None else tuple(loads), handed, n_changing

@@ -48,6 +48,14 @@ class Pieces:
     """Free motion, drag and loads of the bodies of a block, of which their rates are made.
 
     The arguments are those of `RigidBodyEquations`.
+
+    free_of_torque: whether the fluid exerts neither force nor torque on any body at any instant.
+    steady: whether loads and constraints are constant in time (the flow may still change).
+    effective_ratio (n_lanes,): of the spheroids whose axes move as those of the lanes.
+    relaxation_rates (4, n): R/(St inertia), of translation and rotation, transverse and axial; inf
+    for St = 0, zero for a part whose inertia is switched off. The inverses are the time scales on
+    which a body takes up the motion of the flow. stiffness (n_lanes,): the fastest of each body,
+    zero for St = 0.
     """
 
     def __init__(
@@ -84,13 +92,16 @@ class Pieces:
             self._follow = (float(inertia == "rotation"), float(inertia == "translation"))
 
         # Force-free bodies read none of what follows from the resistance.
-        self._force_free = self.massless and loads is None and self.constraints.free
-        self.bodies = bodies = Bodies(model, n_lanes, not self._force_free)
+        self.free_of_torque = self.massless and loads is None and self.constraints.free
+        self.bodies = bodies = Bodies(model, n_lanes, not self.free_of_torque)
+        self.effective_ratio = np.broadcast_to(bodies.effective_ratio, (n_lanes,))
         with np.errstate(divide="ignore"):
-            self._rates: Array = bodies.resistance / bodies.inertia / self.stokes_number
+            rates: Array = bodies.resistance / bodies.inertia / self.stokes_number
         if self._follow is not None:
             move, turn = self._follow
-            self._rates *= np.array([[1.0 - move], [1.0 - move], [1.0 - turn], [1.0 - turn]])
+            rates *= np.array([[1.0 - move], [1.0 - move], [1.0 - turn], [1.0 - turn]])
+        self.relaxation_rates = rates
+        self.stiffness = np.zeros(n_lanes) if self.massless else rates.max(axis=0)
 
         self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
         self._mean_rate: tuple[tuple[float, float], Array] | None = None
@@ -112,40 +123,13 @@ class Pieces:
             raise ValueError("flows of one block must be all polynomial, or none of them")
         self._loads = None if loads is None else LoadRows(loads, n_lanes)
         self._given_loads = loads
+        self._steady_loads = self._loads is None or self._loads.steady
+        self.steady = self._steady_loads and self.constraints.steady
 
     @property
     def model(self) -> BodyModel:
         """The body model that all lanes share. Raises ValueError where they differ."""
         return self.bodies.models.only
-
-    @property
-    def effective_ratio(self) -> Array:
-        """Ratios k of the spheroids whose axes move as those of the lanes, (n_lanes,)."""
-        return np.broadcast_to(self.bodies.effective_ratio, (self.n_lanes,))
-
-    @property
-    def free_of_torque(self) -> bool:
-        """Whether the fluid exerts neither force nor torque on any body at any instant."""
-        return self._force_free
-
-    @property
-    def steady(self) -> bool:
-        """Whether loads and constraints are constant in time (the flow may still change)."""
-        return self._steady_loads and self.constraints.steady
-
-    @property
-    def _steady_loads(self) -> bool:
-        return self._loads is None or self._loads.steady
-
-    @property
-    def relaxation_rates(self) -> Array:
-        """R/(St inertia), (4, n): translation and rotation, transverse and axial; inf for St = 0.
-
-        Zero for a part whose inertia is switched off.
-
-        The inverses are the time scales on which a body takes up the motion of the flow.
-        """
-        return self._rates
 
     def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
         """V and Omega (space frame), each (n_lanes, 3), in the states y (n_lanes, n_state)."""
@@ -244,7 +228,7 @@ class Pieces:
             moves, turns = self._follow
             v = tuple(motion[TRANSLATION]) if moves and v is None else v
             omega = tuple(motion[ROTATION]) if turns and omega is None else omega
-        coefficients: list[Any] = [motion, axes, self._rows(self._rates), bodies.gyration]
+        coefficients: list[Any] = [motion, axes, self._rows(self.relaxation_rates), bodies.gyration]
         pull = bodies.kernels.accelerations(rows[VELOCITY], rows[SPIN], *coefficients)
         still = (0.0, 0.0, 0.0)
         return (
@@ -311,7 +295,7 @@ class Pieces:
 
         F = R_t (U - V) and M = R_r (Omega - W); external loads are not part of them.
         """
-        if self._force_free:
+        if self.free_of_torque:
             return np.zeros((self.n_lanes, 3)), np.zeros((self.n_lanes, 3))
         q = rotation.normalize(y[:, ORIENTATION])
         v, omega = self.velocities(t, y)
@@ -327,11 +311,6 @@ class Pieces:
             return np.asarray(transverse * slip + (axial - transverse) * along)
 
         return drag(motion[:, TRANSLATION] - v, rt, ra), drag(motion[:, ROTATION] - omega, st, sa)
-
-    @property
-    def stiffness(self) -> Array:
-        """Fastest relaxation rate of each body, (n,); zero for St = 0."""
-        return np.zeros(self.n_lanes) if self.massless else self._rates.max(axis=0)
 
     def scales(self, t: float, y: Array) -> Array:
         """Size of each component of the states y, (n_lanes, n_state), for error control.
