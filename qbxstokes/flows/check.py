@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.base import Flow, curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of
+from qbxstokes.flows.domain import Outline
 from qbxstokes.typing import Array
 
 # Least velocity gradient that residuals are compared with, in |u|/radius: the derivatives of a
@@ -129,16 +129,6 @@ def _unit_ball(seed: int, count: int) -> Array:
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     return np.asarray(rng.uniform(size=(count, 1)) ** (1.0 / 3.0) * directions)
-
-
-class Outline(Protocol):
-    """The part of a shape that a flow is checked against."""
-
-    def clearance(self, points: ArrayLike, centre: ArrayLike, axis: ArrayLike) -> Array:
-        """Signed distance (..., m) of points (m, 3), for centres and axes (..., 3)."""
-
-    def interior_balls(self) -> tuple[Array, Array]:
-        """Centres (n, 3) and radii (n,) of balls inside, the axis the third coordinate."""
 
 
 def check_regular(

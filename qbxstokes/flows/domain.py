@@ -18,22 +18,6 @@ from qbxstokes.typing import Array
 _NEWTON = 12
 
 
-class Edge(Protocol):
-    """A surface that ends a flow."""
-
-    def room(self, centre: Array) -> Array:
-        """Distance (...) of points (..., 3) from the surface, negative beyond it."""
-
-    def gap(self, centre: Array, extent: Array) -> Array:
-        """Distance (...) from a body to the surface, negative where the body passes it."""
-
-    def moved(self, turn: Array, displacement: Array) -> Edge:
-        """The surface turned about the space origin, then moved."""
-
-    def __str__(self) -> str:
-        """What a person calls it."""
-
-
 @dataclass(frozen=True, eq=False)
 class Plane:
     """A plane through `point` (3,); the flow is on the side to which `inward` (3,) points."""
@@ -42,16 +26,16 @@ class Plane:
     inward: Array
 
     def room(self, centre: Array) -> Array:
-        """Distance of points from the plane."""
+        """Distance (...) of points (..., 3) from the plane, negative beyond it."""
         return np.asarray((centre - self.point) @ self.inward)
 
     def gap(self, centre: Array, extent: Array) -> Array:
-        """Distance of the centre less the support function."""
+        """Distance (...) of bodies from the plane, negative where they pass it."""
         n = self.inward
         return np.asarray(self.room(centre) - np.sqrt(np.einsum("i,...ij,j->...", n, extent, n)))
 
     def moved(self, turn: Array, displacement: Array) -> Plane:
-        """The plane turned and moved."""
+        """The plane turned about the space origin, then moved."""
         return Plane(turn @ self.point + displacement, turn @ self.inward)
 
     def __str__(self) -> str:
@@ -103,13 +87,14 @@ class Cylinder:
         return np.asarray(self.radius - np.sqrt(m + ca * m / s + cb * m / (s + 2.0 * half)))
 
     def moved(self, turn: Array, displacement: Array) -> Cylinder:
-        """The tube turned and moved."""
+        """The tube turned about the space origin, then moved."""
         return Cylinder(turn @ self.point + displacement, turn @ self.axis, self.radius)
 
     def __str__(self) -> str:
         return f"the wall of the tube of radius {self.radius:g}"
 
 
+Edge = Plane | Cylinder  # a surface that ends a flow
 Domain = tuple[Edge, ...]
 
 
@@ -131,7 +116,13 @@ def tube(radius: float) -> Domain:
 
 
 class Outline(Protocol):
-    """The part of a shape that a domain is checked against."""
+    """The part of a shape that a flow and its domain are checked against."""
+
+    def clearance(self, points: ArrayLike, centre: ArrayLike, axis: ArrayLike) -> Array:
+        """Signed distance (..., m) of points (m, 3), for centres and axes (..., 3)."""
+
+    def interior_balls(self) -> tuple[Array, Array]:
+        """Centres (n, 3) and radii (n,) of balls inside, the axis the third coordinate."""
 
     def extent(self, axis: ArrayLike) -> Array:
         """The matrix C (..., 3, 3) of an ellipsoid around bodies with these axes (..., 3)."""
