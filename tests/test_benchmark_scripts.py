@@ -18,7 +18,9 @@ from qbxstokes.geometry import rotation
 from qbxstokes.reference import jeffery
 
 FOLDER = ROOT / "cases" / "benchmarks"
-SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "measure")
+SCRIPTS = sorted(
+    path.stem for path in FOLDER.glob("*.py") if path.stem not in ("measure", "translation")
+)
 Rows = list[dict[str, Any]]
 
 

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import script
 
 import qbxstokes as qs
 from qbxstokes.bie.exterior import INSIDE, TABLE, resolving_grid, surface_map
@@ -26,7 +27,8 @@ from qbxstokes.qbx.exterior import WHAT, SurfaceToExterior
 from qbxstokes.qbx.operator import GradedScheme, layer_rows
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
 from qbxstokes.reference import faxen
-from qbxstokes.reference.translation import translating_flow
+
+translating_flow = script("benchmarks/translation").translating_flow
 
 SHAPES = [1 / 20, 1 / 2, 1.0, 2.0, 20.0]
 NOBODY = lambda x: np.zeros_like(x)  # noqa: E731

@@ -17,6 +17,7 @@ from itertools import product
 import numpy as np
 from measure import command, timed
 from numpy.typing import NDArray
+from translation import translating_flow
 
 from qbxstokes.bie.accuracy import choose_scheme
 from qbxstokes.bie.field import mobility_disturbance, resistance_disturbance
@@ -24,7 +25,6 @@ from qbxstokes.bie.operators import surface_operators
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.panels import uniform_rule
 from qbxstokes.reference import faxen
-from qbxstokes.reference.translation import translating_flow
 
 Array = NDArray[np.float64]
 

@@ -85,7 +85,7 @@ class CoupledEquations(RigidBodyEquations):
         self.evaluation, self.inertia = "plain", "both"
         self.effective_ratio, self.stiffness = ratios, relaxation
         # Many instants are not asked for at once, and what drag does is a matter of all bodies.
-        self.steady, self.free_of_torque = False, False
+        self.steady, self._steady_loads, self.free_of_torque = False, True, False
         self.relaxation_rates = np.zeros((4, self.n_lanes))
         self._mass = stokes_number * volume
         self._moments = stokes_number[:, None] * inertia
