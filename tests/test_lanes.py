@@ -20,7 +20,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.layout import Layout
-from qbxstokes.petsc.native import native_rate
+from qbxstokes.petsc.native import NativeRate
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.simulation.closed_forms import exact_model
 
@@ -134,7 +134,7 @@ def test_the_rate_that_petsc_calls_itself_knows_the_lanes(
     equations, _ = lanes(mixed, massless, loads, evaluation="compiled", inertia=inertia)
     block = equations.block_constants()
     assert block is not None
-    native = native_rate(block, equations.layout)
+    native = NativeRate.made(block, equations.layout)
     assert native is not None
     states = np.ascontiguousarray(random_state(equations).T)
     state = PETSc.Vec().createWithArray(states.ravel(), comm=PETSc.COMM_SELF)

@@ -23,7 +23,7 @@ from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.forecast import Forecast
 from qbxstokes.motion.layout import Step
 from qbxstokes.petsc import stepper
-from qbxstokes.petsc.native import native_rate
+from qbxstokes.petsc.native import NativeRate
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, inertial, jeffery
@@ -172,7 +172,7 @@ def test_the_rate_that_petsc_calls_itself_has_the_same_bits(
     )
     block = equations.block_constants()
     assert block is not None
-    native = native_rate(block, equations.layout)
+    native = NativeRate.made(block, equations.layout)
     assert native is not None
     rng = np.random.default_rng(2)
     states = rng.standard_normal((equations.n_state, n))

@@ -10,7 +10,7 @@ This module imports numba, and is itself imported where blocks are compiled.
 import ctypes
 from functools import cache
 from types import FunctionType, ModuleType
-from typing import Any
+from typing import Any, Self
 
 import llvmlite.binding
 import numba
@@ -203,14 +203,46 @@ def library() -> Any:
     return library
 
 
-class NativeRate:
-    """The compiled right-hand side of a block, ready to be given to integrators.
+class Native:
+    """A compiled right-hand side, ready to be given to integrators.
 
-    It has to outlive them: PETSc keeps the addresses of the function and of its constants.
+    It has to outlive them: PETSc keeps the addresses of the function and of its constants, of which
+    the first counts the calls. astray: whether some rate was no number in the last step.
     """
 
+    astray = False
+
+    def __init__(self, function: Any, constants: Array) -> None:
+        self._function, self._constants = function, constants
+
+    @classmethod
+    def made(cls, *arguments: Any) -> Self | None:
+        """One of these arguments, None where calls have to go through Python."""
+        return None if library() is None else cls(*arguments)
+
+    @property
+    def calls(self) -> int:
+        """How often PETSc has called it."""
+        return int(self._constants[_CALLS])
+
+    def prepare(self) -> None:
+        """Before every step: take up what has changed."""
+
+    def give(self, ts: Any, work: Any) -> None:
+        """Make it the right-hand side of an integrator; `work` is a vector for its value."""
+        self.prepare()
+        place = ctypes.c_void_p
+        numbers = (self._function.address, self._constants.ctypes.data)
+        handles = (place(number) for number in (ts.handle, work.handle, *numbers))
+        if failed := library().TSSetRHSFunction(*handles):
+            raise PETSc.Error(failed)
+
+
+class NativeRate(Native):
+    """That of a block."""
+
     def __init__(self, block: BlockConstants, layout: Layout) -> None:
-        self._function = _compiled(
+        function = _compiled(
             block.kernels,
             block.degree,
             (layout.n_state, len(block.flow), len(block.body)),
@@ -228,7 +260,7 @@ class NativeRate:
             head[_FOLLOW : _FOLLOW + 2] = block.follow
         parts = block.flow, block.body, block.loads, block.rates, block.still
         given = [part.ravel() for part in parts if part is not None]
-        self._constants = np.concatenate([head, *given])
+        super().__init__(function, np.concatenate([head, *given]))
         self._changing, self._known = block.changing, None
         self._pieces = np.zeros(_HEAD)
         self.renew()
@@ -247,27 +279,3 @@ class NativeRate:
             self._constants[_PIECES] = self._pieces.ctypes.data
             self._constants[_SIZE] = len(self._pieces)
         self._pieces[_LAST] = self._changing.last
-
-    @property
-    def calls(self) -> int:
-        """How often PETSc has called it."""
-        return int(self._constants[_CALLS])
-
-    def give(self, ts: Any, work: Any) -> None:
-        """Make it the right-hand side of an integrator; `work` is a vector for its value."""
-        give(ts, work, self._function.address, self._constants)
-
-
-def give(ts: Any, work: Any, address: int, constants: Array) -> None:
-    """Make a C function with its constants the right-hand side of an integrator."""
-    place = ctypes.c_void_p
-    failed = library().TSSetRHSFunction(
-        place(ts.handle), place(work.handle), place(address), place(constants.ctypes.data)
-    )
-    if failed:
-        raise PETSc.Error(failed)
-
-
-def native_rate(block: BlockConstants, layout: Layout) -> NativeRate | None:
-    """The right-hand side of a block for PETSc, None where it has to go through Python."""
-    return None if library() is None else NativeRate(block, layout)

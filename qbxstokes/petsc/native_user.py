@@ -12,7 +12,7 @@ from numba import carray
 
 from qbxstokes.bie.compiled_motion import CompiledMotion, rates_of
 from qbxstokes.motion.layout import Layout
-from qbxstokes.petsc.native import SIGNATURE, closed, give, library, opened, pointer
+from qbxstokes.petsc.native import SIGNATURE, Native, closed, opened, pointer
 
 # Places in the constants: calls, bodies, numbers of a state, whether some rate was no number; the
 # instant up to which the flow is asked, points of the grid, the addresses of these and of their
@@ -44,14 +44,14 @@ def _compiled(point: Any) -> Any:
     return numba.cfunc(SIGNATURE, error_model="numpy")(rate)
 
 
-class NativeUser:
-    """As `native.NativeRate`; it takes the grid that the motion is on at the time of a step."""
+class NativeUser(Native):
+    """That of bodies in a compiled flow, by the grid that the motion is on at a step."""
 
     def __init__(self, motion: CompiledMotion, body: Any, layout: Layout) -> None:
         self._motion, self._flow = motion, motion.flow
-        self._constants = np.concatenate([np.zeros(_BODY), body.ravel()])
-        self._constants[_COLUMNS], self._constants[_STATE] = layout.columns, layout.n_state
-        self._address = _compiled(motion.flow.point_function).address
+        constants = np.concatenate([np.zeros(_BODY), body.ravel()])
+        constants[_COLUMNS], constants[_STATE] = layout.columns, layout.n_state
+        super().__init__(_compiled(motion.flow.point_function), constants)
 
     def prepare(self) -> None:
         """Before every step: the grid, and how far the flow may be asked."""
@@ -62,21 +62,6 @@ class NativeUser:
         c[_POINTS], c[_WHERE], c[_WEIGHTS] = len(points), points.ctypes.data, weights.ctypes.data
 
     @property
-    def astray(self) -> bool:
+    def astray(self) -> bool:  # type: ignore[override]
         """Whether some rate was no number in the last step."""
         return bool(self._constants[_ASTRAY])
-
-    @property
-    def calls(self) -> int:
-        """How often PETSc has called it."""
-        return int(self._constants[_CALLS])
-
-    def give(self, ts: Any, work: Any) -> None:
-        """Make it the right-hand side of an integrator; `work` is a vector for its value."""
-        self.prepare()
-        give(ts, work, self._address, self._constants)
-
-
-def native_user(motion: CompiledMotion, body: Any, layout: Layout) -> NativeUser | None:
-    """The right-hand side for PETSc, None where it has to go through Python."""
-    return None if library() is None else NativeUser(motion, body, layout)

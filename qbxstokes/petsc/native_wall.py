@@ -19,7 +19,7 @@ from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion.over_wall import rate
 from qbxstokes.motion.wall_constants import WallConstants
-from qbxstokes.petsc.native import SIGNATURE, closed, give, library, opened, pointer
+from qbxstokes.petsc.native import SIGNATURE, Native, closed, opened, pointer
 from qbxstokes.typing import Array
 
 _STATE = 7
@@ -69,8 +69,8 @@ def _compiled() -> Any:
     return numba.cfunc(SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(_rate)
 
 
-class NativeOverWall:
-    """As `native.NativeRate`.
+class NativeOverWall(Native):
+    """That of one body over a wall.
 
     constants: of now, looked up again after the Python function (t, y (7,), dy/dt (7,)) has been
     asked, which may have made cells. counter: of the run, told what that function raises.
@@ -83,13 +83,13 @@ class NativeOverWall:
         counter: Any,
     ) -> None:
         self._source, self._python, self._counter = constants, python, counter
-        self._numbers = np.zeros(_END)
+        super().__init__(_compiled(), np.zeros(_END))
         self._callback = _PYTHON_RATE(self._asked)
-        self._numbers[_PYTHON] = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+        self._constants[_PYTHON] = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
         self._look()
 
     def _look(self) -> None:
-        found, c = self._source(), self._numbers
+        found, c = self._source(), self._constants
         self._kept = np.ascontiguousarray(found.cells), np.ascontiguousarray(found.pieces)
         cells, pieces = self._kept
         c[_RATIO], c[_SIZE], c[_FIRST] = found.ratio, found.size, found.first
@@ -114,19 +114,3 @@ class NativeOverWall:
             counter.failure = failure
             return 1
         return 0
-
-    @property
-    def calls(self) -> int:
-        """How often PETSc has called it."""
-        return int(self._numbers[_CALLS])
-
-    def give(self, ts: Any, work: Any) -> None:
-        """Make it the right-hand side of an integrator; `work` is a vector for its value."""
-        give(ts, work, _compiled().address, self._numbers)
-
-
-def native_over_wall(
-    constants: Callable[[], WallConstants], python: Callable[..., None], counter: Any
-) -> NativeOverWall | None:
-    """The right-hand side for PETSc, None where it has to go through Python."""
-    return None if library() is None else NativeOverWall(constants, python, counter)

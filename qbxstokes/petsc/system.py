@@ -91,16 +91,15 @@ class System:
             self._moving = CentredEquations(equations, start.state)
         self.layout = self._moving.layout
         self.native: Any = None
-        self._function: Any = None  # the same, where it is that of a compiled flow
 
     def before_step(self) -> None:
         """Let the compiled right-hand side know what may have changed."""
-        if self._function is not None:
-            self._function.prepare()
+        if self.native is not None:
+            self.native.prepare()
 
     def after_step(self) -> None:
         """Note what the compiled right-hand side came upon."""
-        if self._function is not None and self._function.astray:
+        if self.native is not None and self.native.astray:
             self.counter.refusal, self.counter.astray = None, True
 
     @property
@@ -210,20 +209,20 @@ class System:
         """The compiled rate as a C function, one for all integrators of the run, or None."""
         wall = self.equations.over_wall
         if self.native is None and wall is not None:
-            from qbxstokes.petsc.native_wall import native_over_wall
+            from qbxstokes.petsc.native_wall import NativeOverWall
 
-            self.native = native_over_wall(*wall, self.counter)
+            self.native = NativeOverWall.made(*wall, self.counter)
         elif self.native is None and (found := self.equations.function_rows) is not None:
             if found[0].grid_of_run is not None:
-                from qbxstokes.petsc.native_user import native_user
+                from qbxstokes.petsc.native_user import NativeUser
 
-                self.native = self._function = native_user(*found, self.layout)
+                self.native = NativeUser.made(*found, self.layout)
         elif self.native is None:
             block = self._moving.block_constants(self._repaid)
             if block is not None:
-                from qbxstokes.petsc.native import native_rate
+                from qbxstokes.petsc.native import NativeRate
 
-                self.native = native_rate(block, self.layout)
+                self.native = NativeRate.made(block, self.layout)
         return self.native
 
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
