@@ -150,6 +150,8 @@ def test_what_cannot_be_served_is_told() -> None:
     two = qs.Suspension([qs.Body(1.0)] * 2, UP)
     with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -0\.5"):
         two.resistance([[0, 0, 3], [1.5, 0, 3]])
+    with pytest.raises(ContactError, match=r"bodies 1 and 2: the gap is -"):
+        two.resistance([[0, 0, 3], [0, 0, 3]])
     with pytest.raises(ContactError, match=r"body 1 and the wall: the gap is 0\.0001"):
         two.resistance([[0, 0, 1.0001], [4, 0, 3]])
     with pytest.raises(SceneError, match="slips on the wall"):
@@ -158,6 +160,10 @@ def test_what_cannot_be_served_is_told() -> None:
         qs.Wall(normal=[0, 0, 1], velocity=[0, 0, 1])
     with pytest.raises(SceneError, match="position has shape"):
         two.resistance([[0, 0, 3]])
+    with pytest.raises(SceneError, match="position is not finite"):
+        two.resistance([[0, 0, 3], [0, np.nan, 6]])
+    with pytest.raises(SceneError, match="vectors that are not finite"):
+        two.free_motion(None, [[0, 0, 3], [0, 0, 6]], force=[np.inf, 0, 0])
 
 
 def test_exterior_maps_are_those_of_the_field() -> None:

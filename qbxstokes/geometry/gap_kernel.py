@@ -58,8 +58,10 @@ def direction(apart, axes, ratios, sizes, m):  # type: ignore[no-untyped-def]
     slope, hessian, new = np.empty(3), np.empty((3, 3)), np.empty(3)
     e, f, trial = np.empty(3), np.empty(3), 0.0
     length = math.sqrt(np.sum(apart * apart))
-    m[:] = apart / length
+    m[:] = apart / length if length > 0.0 else axes[0]
     best = value(m, apart, axes, ratios, sizes)
+    if length == 0.0:  # in each other: how deep in some direction says enough
+        return best
     for _ in range(_ITERATIONS):
         _slopes(m, apart, axes, ratios, sizes, slope, hessian)
         radial = np.sum(slope * m)

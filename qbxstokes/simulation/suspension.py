@@ -88,6 +88,8 @@ class Suspension:
         turn = np.broadcast_to(turn, (n, turn.shape[-1])) if turn.ndim == 1 else turn
         if x.shape != (n, 3):
             raise SceneError("position", f"has shape {x.shape}", f"shape {(n, 3)}: a centre each")
+        if not np.all(np.isfinite(x)):
+            raise SceneError("position", "is not finite", "finite numbers")
         if turn.ndim != 2 or len(turn) != n or turn.shape[1] not in (3, 4):
             right = f"shape {(n, 3)} (axes) or {(n, 4)}"
             raise SceneError("orientation", f"has shape {turn.shape}", right)
@@ -347,8 +349,7 @@ class Suspension:
                 return self._held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
 
             (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
-            took = solver.latest
-            found.append(Solution(problem, flows, v, omega, force, torque, took, x, again))
+            found.append(Solution(problem, flows, v, omega, force, torque, solver.latest, x, again))
         solver.release()
         return found
 
@@ -366,7 +367,6 @@ class Suspension:
         less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
         motion = np.stack([problem.to_space(b, alone[b][0] - less[b]) for b in driven])
         flows = [problem.maps[b].harmonics.unpacked(driven[b] + sent[b]) for b in driven]
-        took = solver.latest
         solver.release()
 
         def again(nodes: list[int]) -> Solution:
@@ -374,10 +374,12 @@ class Suspension:
             return self.freed(coarser, loads, background)
 
         (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
-        return Solution(problem, flows, v, omega, force, torque, took, x, again)
+        return Solution(problem, flows, v, omega, force, torque, solver.latest, x, again)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
+        if not np.all(np.isfinite(given)):
+            raise SceneError("bodies", "got vectors that are not finite", "finite numbers")
         try:
             return np.array(np.broadcast_to(given, (len(self), 3)))
         except ValueError:
