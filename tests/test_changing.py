@@ -23,6 +23,7 @@ TIMES = np.linspace(0.0, 6.0, 241)
 
 GRADIENTS = [[[0, 1, 0], [0, 0, 0], [0, 0, 0]], [[0, 2, 0], [0, 0, 0], [0, 0, 0]]]
 LINEAR = {"interpolation": "linear"}
+SHEAR = np.array(GRADIENTS[0], dtype=float)
 
 
 def sampled(function: Any, end: float = 10.0, accuracy: float = 1e-10) -> Sampled:
@@ -403,3 +404,31 @@ def test_steps_of_several_bodies_end_at_samples() -> None:
     two = qs.Simulation([body, body], flow, **places, tolerance=1e-5).assemble().motion([1.0])
     assert np.abs(two.axis[-1, 0] - alone.axis[-1]).max() < 1e-7
     assert two.summary["steps"] < 30
+
+
+def test_steps_of_slender_bodies_are_as_long_as_their_own_motion_lets_them() -> None:
+    """A gradient that turns: errors of axes hardly grow, and a shear in all but name: by k^2."""
+    body = qs.Body(0.02)
+    for gradient, most, share in (
+        (cosines(3), 1e2, 1e-5),
+        (lambda t: (1 + 1e-9 * t) * SHEAR, 3e3, 0),
+    ):
+        scene = qs.Simulation(
+            body, qs.flow("linear", gradient=gradient), orientation=AXIS
+        ).assemble()
+        assert 1.0 < scene.equations.sensitivity(0.0, scene.initial, 20.0) < most
+        motion = body.integrate(scene.parts[0].flow, [20.0], orientation=AXIS, tolerance=1e-9)
+        exact = body.axes(scene.parts[0].flow, [20.0], AXIS, tolerance=1e-13)
+        assert share * 1e-9 < np.abs(motion.axis[-1] - exact[-1]).max() < 1e-9
+
+
+def test_stiff_bodies_in_a_function_known_to_rounding() -> None:
+    """Its pieces differ by rounding where they meet, which is no jump: BDF began anew at each."""
+    flow, body = qs.flow("linear", gradient=cosines(3)), qs.Body(0.08, stokes_number=1e-3)
+    keys = {"orientation": AXIS, "tolerance": 1e-12}
+    exact, found = (
+        body.integrate(flow, [2.0], **keys),
+        body.integrate(flow, [2.0], **keys | {"tolerance": 1e-7}),
+    )
+    assert np.abs(found.axis - exact.axis).max() < 1e-7
+    assert exact.summary["steps"] < 2000

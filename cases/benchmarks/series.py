@@ -6,8 +6,8 @@ script is DOP853 of Jeffery's equation in numba, warm. `bar`: what it ought to b
 Run:      python cases/benchmarks/series.py      (2 min; --small: 30 s; --csv)
 Expected: errors within the tolerance. The axis of one body alone (`Body.axes`) takes 0.2 ms, as the
           script does (0.13); along samples 0.27 ms. A motion with place, quaternion and events
-          takes 2 ms, of which PETSc's 55 steps are 0.5; along samples 6 ms, a step for each of
-          400. That is in a process that has followed some bodies: the first ones take 5 ms. A
+          takes 2 ms, of which PETSc's 55 steps are 0.5; along samples as well. That is in a
+          process that has followed some bodies: the first ones take 5 ms. A
           gradient is sampled beforehand ("sampling": the calls of the user's function), once for
           all. Many bodies in one flow take 18 us each, as in a steady one; their axes alone take
           0.9 ms in all. Lanes with series of their own take 2 us a sample. Paths of an ensemble

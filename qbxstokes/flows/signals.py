@@ -283,7 +283,8 @@ class Sampled:
             after = np.arange(max(1, len(self.origins) - len(edges)), len(self.origins))
             there = self.edges[after]
             left, right = self._of(after - 1, there), self._of(after, there)
-            jump = np.abs(right - left) > _JUMP * self.accuracy * np.maximum(abs(left), abs(right))
+            usual = np.maximum(abs(left), abs(right)).max(axis=0, initial=0.0)
+            jump = np.abs(right - left) > _JUMP * max(self.accuracy, _ROUNDING) * usual
             self._jumps = np.append(self._jumps, there[np.any(jump, axis=1)])
 
     def _divide(self) -> None:

@@ -323,19 +323,6 @@ class Pieces:
             scales[:, N_MASSLESS:] = self.time_rate(t, y)[:, None]
         return scales
 
-    def sensitivity(self, t: float, y: Array, horizon: float) -> float:
-        """How many times the error of one step may grow until `horizon` later.
-
-        An axis that a shear turns lingers in one direction and hurries through the rest: a lag
-        grows by max(k, 1/k)^2 from the one to the other, and one more is made at every turn. The
-        error of both Runge-Kutta pairs after ten periods is 0.04 to 1.4 times the tolerance then,
-        for k from 1/50 to 50.
-        """
-        k = self.bodies.effective_ratio
-        slenderness = np.maximum(k, 1.0 / k)
-        turns = self.mean_rate(t, y, horizon) * horizon / (2.0 * np.pi * slenderness)
-        return float(np.max(slenderness * slenderness * np.maximum(1.0, turns)))
-
     def time_rate(self, t: float, y: Array) -> Array:
         """Rate (n,) at which things change: |grad U|, the shear rate in a shear."""
         gradient = self._flow_gradient(t, y)
@@ -350,15 +337,19 @@ class Pieces:
         if self.changing is None:
             return self.time_rate(t, y)
         if self._mean_rate is None or self._mean_rate[0] != (t, horizon):
-            rates, instants = self.time_rate(t, y), t + horizon * _SHARES
-            for flow, lanes in self._flows.groups():
-                if isinstance(flow, ChangingFlow):
-                    with suppress(FlowError):  # told when the run comes to it
-                        gradients = flow.gradients(y[lanes, POSITION], instants)
-                        sizes = np.linalg.norm(gradients, axis=(-2, -1))
-                        rates[lanes] = np.mean(np.where(sizes > 0.0, sizes, rates[lanes]), axis=0)
+            rates = self.time_rate(t, y)
+            with suppress(FlowError):  # told when the run comes to it
+                sizes = np.linalg.norm(self._gradients(y, t + horizon * _SHARES), axis=(-2, -1))
+                rates = np.mean(np.where(sizes > 0.0, sizes, rates), axis=0)
             self._mean_rate = (t, horizon), rates
         return self._mean_rate[1]
+
+    def _gradients(self, y: Array, t: Array) -> Array:
+        """Velocity gradients (T, n, 3, 3) of polynomial flows at the centres, at instants (T,)."""
+        found = np.empty((len(t), self.n_lanes, 3, 3))
+        for flow, lanes in self._flows.groups():
+            found[:, lanes] = flow.gradients(y[lanes, POSITION], t)
+        return found
 
     def _flow_gradient(self, t: float, y: Array) -> Array:
         """Velocity gradient at the centres, (n, 3, 3); of the free velocity with a provider."""
