@@ -209,7 +209,7 @@ class RigidBodyEquations(Pieces):
         """Whether few axes alone turn in linear flows that change, without a lag to speak of."""
         if self.changing is None or self._degree > 1 or self.n_lanes > _FEW:
             return False
-        light = self.massless or np.all(self._rates[2:] > _LIGHT * self.time_rate(t, y))
+        light = self.massless or np.all(self.relaxation_rates[2:] > _LIGHT * self.time_rate(t, y))
         return bool(light) and self._loads is None and self._follow is None and self.at_rest(y)
 
     def integrated(self, states: Array) -> Array:
