@@ -103,6 +103,36 @@ def test_a_signal_before_there_is_anything_says_so(
     assert os.listdir(path.parent) == [path.name]
 
 
+def test_a_signal_stops_tracers_and_keeps_the_rest(tmp_path: Path, run_process: Any) -> None:
+    field = {"points": {"file": "points.csv"}, "tracers": {"points": [[0, 1, 0]], "duration": 0.1}}
+    case = {**SHEAR, "time": {"end": 1.0, "samples": 3}, "field": field}
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    (tmp_path / "points.csv").write_text("x1,x2,x3\n0,2,0\n")
+    script = (
+        "import os, signal, sys\n"
+        "from qbxstokes.runs import field\n"
+        "def tracers(*_):\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    sum(range(10**6))\n"
+        "    raise AssertionError\n"
+        "field.moving_tracers = tracers\n"
+        "from qbxstokes.cli.main import run_command\n"
+        "sys.exit(run_command(['case.yaml', '--quiet']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 143
+    assert done.stderr.startswith("qbxstokes: SIGTERM: interrupted; what is finished is kept in")
+    assert run_process("case.yaml", "--resume", "--quiet").returncode == 0
+    assert np.isfinite(qs.load(tmp_path / "case.h5").fields.tracers.points).all()
+
+
 def test_what_fails_because_of_a_signal_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:
     def compiling() -> int:
         try:

@@ -139,7 +139,10 @@ def field_of_motion(
             assembled.scene.suspension.comm = assembled.scene.herald = None
         with job.clock.part("tracers"):
             follow = tracers_among if loaded.case.coupled else moving_tracers
-            paths = follow(work.solution, section, assembled.equations, start, end, time.tolerance)
+            with job.interruption.at_once(folder.folder):
+                paths = follow(
+                    work.solution, section, assembled.equations, start, end, time.tolerance
+                )
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -34,6 +36,19 @@ class Interruption:
     def asked(self) -> bool:
         """Whether a signal has come."""
         return self.signal != 0
+
+    @contextmanager
+    def at_once(self, folder: Path) -> Iterator[None]:
+        """Within it a signal stops at once what nobody looks after; the folder keeps the rest."""
+        if self.signal:
+            raise interrupted(folder, self.signal)
+        listening, self.listening = self.listening, False
+        try:
+            yield
+        except KeyboardInterrupt as stop:
+            raise interrupted(folder, stop.args[0] if stop.args else signal.SIGINT) from None
+        finally:
+            self.listening = listening
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.patient:

@@ -133,7 +133,8 @@ def flow_nodes_on(
         rate = float(place.shape.flow_decay(points).max(initial=0.0))
         found = flow_nodes(rate, tolerance)[0]
     except FlowError as error:
-        raise SceneError("flow", str(error), "nodes= as you judge, or another flow") from None
+        right = "a named flow, or in Python nodes= as you judge"
+        raise SceneError("flow", str(error), right) from None
     if found > MOST_NODES:
         raise SceneError("flow", f"takes {found} nodes on body {b}", f"at most {MOST_NODES}")
     return found
