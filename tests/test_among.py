@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from conftest import Run
 
 import qbxstokes as qs
 from qbxstokes.bie.lines import lines_in_space
@@ -225,3 +226,21 @@ def test_tracers_of_one_listed_body_are_those_of_one_body() -> None:
     ]
     assert np.allclose(listed["points"], alone["points"], atol=2e-4)
     assert np.allclose(listed["position"][:, 0], alone["position"], atol=1e-4)
+
+
+@pytest.mark.mpi
+def test_tracers_among_moving_bodies_are_those_of_one_rank(mpirun: Run, tmp_path: Path) -> None:
+    tracers = {"points": [[-2, 0.5, 0], [0, 1.6, 0]], "duration": 0.1, "samples": 3}
+    case = {
+        **SCENE,
+        "time": {"end": 0.1, "samples": 2, "tolerance": 1e-2},
+        "field": {"surface": {"shape": [5, 8]}, "quantities": ["velocity"], "tracers": tracers},
+    }
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    done = mpirun(2, "case.yaml", "--quiet")
+    assert done.returncode == 0, done.stderr
+    two = qs.load(tmp_path / "case.h5").fields.tracers.points
+    one = qs.run(case, file=str(tmp_path / "one.h5")).fields.tracers.points
+    assert np.allclose(two, one, rtol=0, atol=1e-9, equal_nan=True)
+    assert np.isfinite(one[:, 0]).all()
+    assert np.isnan(one[:, 1]).all()  # within the first body
