@@ -244,3 +244,10 @@ def test_tracers_among_moving_bodies_are_those_of_one_rank(mpirun: Run, tmp_path
     assert np.allclose(two, one, rtol=0, atol=1e-9, equal_nan=True)
     assert np.isfinite(one[:, 0]).all()
     assert np.isnan(one[:, 1]).all()  # within the first body
+    with h5py.File(tmp_path / "one.h5") as file:
+        about = {name: file["field/tracers"][name].attrs for name in ("time", "position", "points")}
+        assert {name: told["units"] for name, told in about.items()} == {
+            "time": "tau",
+            "position": "c",
+            "points": "c",
+        }

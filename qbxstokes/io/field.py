@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qbxstokes.io.format import describe, placed_dataset
-from qbxstokes.quantities import FLUID, INSTANT, POINT, SURFACE
+from qbxstokes.quantities import FLUID, INSTANT, MOTION, POINT, SURFACE, TIME
 from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 GROUP = "field"
 
-# What may stand at points, and what every point has beside its quantities.
-_ARRAYS = FLUID | POINT | SURFACE
+# What may stand at points or along the ways of tracers, and what every point has besides.
+_ARRAYS = MOTION | {"time": TIME} | FLUID | POINT | SURFACE
 _MARKS = ("inside", "source")
 _NUMBER = np.dtype(np.float64)
 _TYPES = {"inside": np.dtype(np.bool_), "source": np.dtype(np.int8)}
