@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import qbxstokes as qs
-from qbxstokes.errors import CaseError, FlowError, SceneError
+from qbxstokes.errors import CaseError, ConvergenceError, FlowError, SceneError
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.simulation.ensemble import Ensemble
 
@@ -405,3 +405,13 @@ def test_no_more_is_read_at_once_than_a_tile() -> None:
     assert 0 < max(sizes) <= 256 * 29 * 9
     inside = qs.GradientSeries(times[2:31], samples[::-1, 2:31])
     assert np.array_equal(found.moments, qs.ensemble(body(0.2), inside).moments)
+
+
+def test_paths_that_cannot_be_followed_are_told() -> None:
+    """A light body held in a strong gradient: no number of parts of an interval will do."""
+    rng = np.random.default_rng(0)
+    a = 3.0 * rng.normal(size=(6, 3, 3))
+    a -= np.trace(a, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
+    series = qs.GradientSeries(np.linspace(0.0, 20.0, 6), a, interpolation="hold")
+    with pytest.raises(ConvergenceError, match="path 0: inertia"):
+        qs.ensemble(qs.Body(0.08, stokes_number=3e-4), series, orientation=[0.6, 0, 0.8])

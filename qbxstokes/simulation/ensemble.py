@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.statistics import RATES, STRAINS, Statistics
-from qbxstokes.errors import SceneError
+from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
@@ -246,6 +246,9 @@ class Ensemble:
                 axes_seen,
                 Turns(diffusivity, seed, first, begin),
             )
+            if not np.isfinite(axes).all():
+                lost = first + int(np.argwhere(~np.isfinite(axes))[0, 0])
+                raise ConvergenceError(f"path {lost}: inertia, and too far a turn between samples")
             instants[here[here >= 0]] = seen[here >= 0]
             kept[:, here[here >= 0]] = axes_seen[:, here >= 0]
         count = max(len(looks), 1)
