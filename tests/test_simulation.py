@@ -219,3 +219,20 @@ def test_lanes_end_where_their_flow_does() -> None:
     np.testing.assert_allclose(together.axis[1], second.axis, atol=1e-8)
     with pytest.raises(SceneError, match="start with the whole body inside"):
         motion([0, 4.9, 0])
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"times": [-1.0]}, "times begin at -1"),
+        ({"tolerance": -1}, "tolerance is -1"),
+        ({"tolerance": np.nan}, "tolerance is not finite"),
+        ({"tolerance": "tight"}, "tolerance is 'tight'"),
+        ({"orientation": "x"}, "orientation is 'x'"),
+    ],
+)
+def test_odd_arguments_of_motions_and_axes_are_told(keys: dict[str, Any], told: str) -> None:
+    given = {"times": [1.0], "orientation": [1, 0, 0], **keys}
+    for follow in (qs.Body(0.5).integrate, qs.Body(0.5).axes):
+        with pytest.raises(SceneError, match=told):
+            follow(qs.flow("shear"), **given)

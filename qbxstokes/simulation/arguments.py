@@ -22,11 +22,21 @@ def numbers(name: str, values: ArrayLike, right: str) -> Array:
     return found
 
 
+def accepted(value: Any) -> float:
+    """The tolerance, the error accepted at the end; raises SceneError for what is none."""
+    found = numbers("tolerance", value, "more than 0, at most 0.1")
+    if found.ndim or not 0.0 < found <= 0.1:
+        raise SceneError("tolerance", f"is {value}", "more than 0, at most 0.1")
+    return float(found)
+
+
 def instants(values: ArrayLike) -> Array:
-    """Increasing finite times (T,); raises SceneError for others."""
+    """Increasing finite times (T,) from 0 on; raises SceneError for others."""
     found = numbers("times", values, "increasing instants (T,)")
     if found.ndim != 1 or not len(found) or np.any(np.diff(found) <= 0.0):
         raise SceneError("times", f"have shape {found.shape}", "increasing instants (T,)")
+    if found[0] < 0.0:
+        raise SceneError("times", f"begin at {found[0]:g}", "0 or later: a motion starts at 0")
     return found
 
 

@@ -28,7 +28,8 @@ def axes_in(
     from qbxstokes.motion.linear_axes import follow
 
     instants = given.instants(times)
-    start = np.asarray(axes, dtype=np.float64)
+    tolerance = given.accepted(tolerance)
+    start = given.numbers("orientation", axes, "axes (..., 3), not zero")
     if start.shape[-1:] != (3,) or not np.all(np.linalg.norm(start, axis=-1) > 0.0):
         raise SceneError("orientation", f"has shape {start.shape}", "axes (..., 3), not zero")
     if np.any(body.stokes_number):

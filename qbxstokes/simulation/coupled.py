@@ -15,7 +15,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.loads import LoadRows, Loads
-from qbxstokes.simulation.arguments import section
+from qbxstokes.simulation.arguments import accepted, section
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
 from qbxstokes.simulation.suspension import Suspension
 from qbxstokes.simulation.wall import Wall
@@ -67,8 +67,7 @@ class CoupledSimulation(Simulation):
         members = list(bodies) if isinstance(bodies, Sequence) else [bodies]
         if flow is not None and not isinstance(flow, Flow):
             raise SceneError("flow", f"is {flow!r}", "a flow such as qs.flow('shear'), or None")
-        if not 0.0 < tolerance <= 0.1:
-            raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
+        tolerance = accepted(tolerance)
         self.suspension = Suspension(
             members, surroundings, tolerance=resolution or max(tolerance, 1e-12), comm=comm
         )

@@ -23,7 +23,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
-from qbxstokes.simulation.arguments import numbers, require, require_flow, section
+from qbxstokes.simulation.arguments import accepted, numbers, require, require_flow, section
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
@@ -101,9 +101,7 @@ class Simulation:
         self.angular_velocity = self._optional("angular_velocity", angular_velocity)
         self.loads, self.constraints = loads, constraints
         self.events = section("events", EventSettings, events)
-        if not 0.0 < tolerance <= 0.1:
-            raise SceneError("tolerance", f"is {tolerance:g}", "more than 0, at most 0.1")
-        self.tolerance = float(tolerance)
+        self.tolerance = accepted(tolerance)
         self.numbers = np.arange(len(self.position), dtype=np.uint64)
         if brownian is not None:
             from qbxstokes.simulation.brownian import check_brownian
