@@ -355,6 +355,52 @@ def test_jumps_and_what_is_faster_than_the_body_are_seen(rate: Any, strain: floa
         assert np.abs(found.axis[-1] - right).max() < 2.0 * tolerance
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_functions_that_are_asked_at_every_stage_are_seen(late: bool) -> None:
+    """Strengths of singular flows, among one body or several: jumps, and what is fast."""
+
+    def rate(t: float) -> float:
+        return 1.0 if t < 1.0 or (late and t == 1.0) else -2.0
+
+    def stokeslet(strength: Any, **given: Any) -> Any:
+        return qs.flow("stokeslet", position=[0, 2, 0], strength=strength, **given)
+
+    one, bodies = qs.Body(0.5), [qs.Body(0.5), qs.Body(1.0)]
+    place = {"position": [[0, 0, 0], [3, 0.5, 0]], "orientation": [[1, 0, 0.2], [0, 0, 1]]}
+
+    def alone(flow: Any, end: float, tolerance: float, **start: Any) -> Any:
+        return one.integrate(flow, [end], **start, tolerance=tolerance)
+
+    def pair(flow: Any, end: float, tolerance: float, **start: Any) -> Any:
+        scene = qs.Simulation(bodies, flow, **start, tolerance=tolerance, resolution=1e-3)
+        return scene.integrate([end])
+
+    for run, kind, tolerance, start in (
+        (alone, lambda f: stokeslet([f, 0, 0]), 1e-6, {"orientation": [1, 0, 0.2]}),
+        (pair, lambda f: qs.flow("shear", rate=f), 1e-3, place),
+    ):
+        ahead, back = kind(1.0), kind(-2.0)
+        if run is alone:
+            given = stokeslet(lambda t: [rate(t), 0.0, 0.0])
+        else:
+            given = qs.flow("shear", rate=rate)
+        first = run(ahead, 1.0, 1e-2 * tolerance, **start)
+        then = {"position": first.position[-1], "orientation": first.orientation[-1]}
+        right = run(back, 1.0, 1e-2 * tolerance, **then)
+        found = run(given, 2.0, tolerance, **start)
+        for name in ("position", "axis"):
+            assert np.abs(getattr(found, name) - getattr(right, name)).max() < 0.5 * tolerance
+
+    def fast(t: float) -> list[float]:
+        return [10.0 + 5.0 * math.sin(300.0 * t), 0.0, 0.0]
+
+    if not late:
+        start = {"orientation": [1, 0, 0.2]}
+        right = alone(stokeslet(fast, longest_step=1e-3), 2.0, 1e-8, **start)
+        found = alone(stokeslet(fast), 2.0, 1e-3, **start)
+        assert np.abs(found.position - right.position).max() < 1e-3
+
+
 def test_stresslets_change_and_walls_do_not() -> None:
     """Symmetric and traceless at every instant; entries, functions and samples are one flow."""
     strength = np.array([[1.0, 0.3, 0.0], [0.3, -0.5, 0.2], [0.0, 0.2, -0.5]])

@@ -1,5 +1,6 @@
 """A flow with what a plane wall answers to it, such as a stokeslet with its images."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,6 +40,7 @@ class AboveWall(Transformable):
         if points[:, 1].min() <= 0.0:
             raise FlowError("flow 'above_wall' needs its singular points above x2 = 0")
         self.flow, self.length, self.spacing = flow, flow.length, flow.spacing
+        self.signals = flow.signals
         self.steady, self.domain = flow.steady, (*flow.domain, Plane(np.zeros(3), _UP))
         self.singular_points = points  # those of its image are behind the wall
 
@@ -57,9 +59,9 @@ class AboveWall(Transformable):
         """Those of the flow."""
         return self.flow.breaks(end)
 
-    def until(self, t: float) -> None:
+    def until(self, t: float, since: float = -math.inf) -> None:
         """So does the flow."""
-        self.flow.until(t)
+        self.flow.until(t, since)
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""

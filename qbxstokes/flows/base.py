@@ -45,6 +45,7 @@ class Flow(ABC):
     degree: int | None = None  # of a polynomial, None for another flow
     singular_points: Array = np.empty((0, 3))  # where it is singular
     singular_points_known: bool = True  # whether it is singular nowhere else, for certain
+    signals: tuple[Any, ...] = ()  # functions and series of time in it (`flows.signals.Signal`)
     domain: Domain = ()  # surfaces inside which it is known, such as walls; none: it fills space
 
     @abstractmethod
@@ -70,8 +71,8 @@ class Flow(ABC):
         """
         return np.empty(0)
 
-    def until(self, t: float) -> None:  # noqa: B027
-        """Show itself, from now on, as before the break t: at t as just before it."""
+    def until(self, t: float, since: float = -math.inf) -> None:  # noqa: B027
+        """Show itself, from now on, as between breaks: at t as just before, at `since` as after."""
 
     def stress(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Stress sigma = -p I + grad u + (grad u)^T, shape (..., 3, 3)."""
@@ -240,6 +241,7 @@ class SumFlow(Flow):
         self.length = min(flow.length for flow in self.terms)
         self.spacing = min(flow.spacing for flow in self.terms)
         self.recognise = all(flow.recognise for flow in self.terms)
+        self.signals = tuple(signal for flow in self.terms for signal in flow.signals)
         self.steady = all(flow.steady for flow in self.terms)
         self.singular_points = np.concatenate([flow.singular_points for flow in self.terms])
         self.singular_points_known = all(flow.singular_points_known for flow in self.terms)
@@ -294,10 +296,10 @@ class SumFlow(Flow):
         found = [flow.breaks(end, rough / len(self.terms)) for flow in self.terms]
         return np.asarray(np.unique(np.concatenate(found)))
 
-    def until(self, t: float) -> None:
+    def until(self, t: float, since: float = -math.inf) -> None:
         """So do all terms."""
         for flow in self.terms:
-            flow.until(t)
+            flow.until(t, since)
 
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""

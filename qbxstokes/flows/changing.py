@@ -62,6 +62,7 @@ class ChangingFlow(SumFlow):
             ranks = zip(*(flow.tensors for flow in self.polynomials), strict=True)
             self._ranks, terms = [np.stack(rank) for rank in ranks], [*self.polynomials]
         super().__init__(terms)
+        self.signals = (signal, *self.signals)
         self.spacing = min(self.spacing, signal.spacing)
         self.units, self.still = self.terms[: len(units)], None if still is None else terms[-1]
         self.steady = False
@@ -85,15 +86,15 @@ class ChangingFlow(SumFlow):
             rough /= max(1.0, np.abs(self._ranks[1]).max()) if linear else np.inf
         return np.union1d(self.signal.breaks(end, rough), super().breaks(end))
 
-    def until(self, t: float) -> None:
-        """Show itself, from now on, as before the break t: at t as just before it."""
-        self.signal.last = math.nextafter(t, -math.inf)
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """Show itself, from now on, as between breaks: at t as just before, at `since` as after."""
+        self.signal.last, self.signal.since = math.nextafter(t, -math.inf), since
         if not self.polynomials:
-            super().until(t)
+            super().until(t, since)
 
     def at(self, t: float) -> PolynomialFlow:
         """The polynomial that the flow is at time t."""
-        t = min(t, self.signal.last)
+        t = self.signal.between(t)
         if self._known is None or self._known[0] != t:
             (factors,) = self._factors(np.array([t]))
             tensors = [np.tensordot(factors, rank, 1) for rank in self._ranks]

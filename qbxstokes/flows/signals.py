@@ -127,7 +127,7 @@ class Signal:
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(parts)
         self.spacing = min(part.spacing for part in parts)
-        self.last = math.inf
+        self.last, self.since = math.inf, -math.inf
         self._known: tuple[Any, Array, Sampled] | None = None
 
     @cached_property
@@ -146,9 +146,14 @@ class Signal:
         found = np.unique(np.concatenate([part.breaks(end, rough) for part in self.parts]))
         return np.asarray(found[(found > 0.0) & (found < end)])
 
+    def between(self, t: float) -> float:
+        """The instant that is asked for: between the last break and the next (`Flow.until`)."""
+        return min(math.nextafter(t, math.inf) if t == self.since else t, self.last)
+
     def at(self, t: float) -> Array:
-        """The numbers (m,) at an instant, as before the last break."""
-        found = [part.at(min(t, self.last)) for part in self.parts]
+        """The numbers (m,) at an instant, as between the breaks about it."""
+        t = self.between(t)
+        found = [part.at(t) for part in self.parts]
         return found[0] if len(found) == 1 else np.concatenate(found)
 
     def many(self, t: Array) -> Array:
@@ -237,6 +242,15 @@ class Sampled:
             math.inf if self._exact is not None or last >= len(self.edges) else self.edges[last],
             math.inf if jump == len(self._jumps) else self._jumps[jump],
         )
+
+    def stops(self, longest: float) -> Array:
+        """Instants at which steps end that are to see a function: its jumps, and every other edge
+        of the pieces that are shorter than half of the longest step; none for samples."""
+        if self._exact is not None:
+            return np.empty(0)
+        edges = self.edges[::2]
+        dense = edges[1:][np.diff(edges) < longest * (1.0 - 1e-9)]
+        return np.union1d(dense[dense < self.end], self._jumps)
 
     def many(self, t: Array) -> Array:
         """The numbers (..., m) at instants (...) that are covered."""

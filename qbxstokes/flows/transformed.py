@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -34,7 +35,7 @@ class TransformedFlow(Flow):
         )
         self.position = tensor(position, "position", (3,))
         self.factor = number(factor, "factor")
-        self.length, self.spacing = flow.length, flow.spacing
+        self.length, self.spacing, self.signals = flow.length, flow.spacing, flow.signals
         self.recognise, self.steady = flow.recognise, flow.steady
         self.singular_points = flow.singular_points @ self.rotation.T + self.position
         self.singular_points_known = flow.singular_points_known
@@ -71,9 +72,9 @@ class TransformedFlow(Flow):
         """Those of the flow."""
         return self.flow.breaks(end)
 
-    def until(self, t: float) -> None:
+    def until(self, t: float, since: float = -math.inf) -> None:
         """So does the flow."""
-        self.flow.until(t)
+        self.flow.until(t, since)
 
     def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (..., 3)."""

@@ -184,7 +184,7 @@ class UserFlow(Transformable):
         """Those that were given."""
         return self._breaks[(self._breaks > 0.0) & (self._breaks < end)]
 
-    def until(self, t: float) -> None:
+    def until(self, t: float, since: float = -math.inf) -> None:
         """Show itself, from now on, as before the break t: at t as just before it."""
         self._last = math.nextafter(t, -math.inf)
 

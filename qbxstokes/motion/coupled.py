@@ -43,6 +43,9 @@ _STEP = 1e-4
 class SharedFluid(Protocol):
     """What moves N bodies in one fluid: arrays (N, 3), quaternions (N, 4), in space."""
 
+    def between(self, t: float) -> float:
+        """The instant to ask for: at a break of the flow just before it, or just after it."""
+
     def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Velocities and angular velocities at which nothing but the loads acts on the bodies."""
 
@@ -114,7 +117,7 @@ class CoupledEquations(RigidBodyEquations):
         out[:] = self._rate_of(t, y[None])[0]
 
     def _rate_of(self, t: float, y: Array) -> Array:
-        x, raw = y[:, POSITION], y[:, ORIENTATION]
+        t, x, raw = self.fluid.between(t), y[:, POSITION], y[:, ORIENTATION]
         q, rate = rotation.normalize(raw), np.empty_like(y)
         v, omega = self.velocities(t, y)
         rate[:, POSITION] = v
@@ -135,13 +138,14 @@ class CoupledEquations(RigidBodyEquations):
         q = rotation.normalize(y[:, ORIENTATION])
         if not self.massless:
             return np.array(y[:, VELOCITY]), rotation.to_space(q, y[:, SPIN])
+        t = self.fluid.between(t)
         if self._latest is None or self._latest[0] != t or not np.array_equal(self._latest[1], y):
             self._latest = t, np.array(y), self.fluid.free(t, y[:, POSITION], q)
         return self._latest[2]
 
     def know(self, t: float, y: Array, velocities: tuple[Array, Array]) -> None:
         """Take velocities of massless bodies in a state as found: no problem is solved for them."""
-        self._latest = t, np.array(y), velocities
+        self._latest = self.fluid.between(t), np.array(y), velocities
 
     def force_torque(self, t: float, y: Array) -> tuple[Array, Array]:
         """Hydrodynamic force and torque ON the bodies (space frame), each (N, 3)."""

@@ -21,8 +21,8 @@ from qbxstokes.typing import Array
 
 # States are turned into quantities in pieces of about this many, which stay in the cache.
 _PIECE = 4096
-# Nearer to e3 or -e3, where the third component of the axis is 1 or -1 to rounding, phi and psi
-# alone are noise of the integration: psi is 0 there.
+# Nearer to e3 or -e3, where the third component of the axis is 1 or -1 to rounding, or nearer than
+# the tolerance, phi and psi alone are noise of the integration: psi is 0 there.
 _POLE = 1e-8
 # What every caller gets.
 _BASIC = ("position", "axis", "velocity", "angular_velocity")
@@ -32,7 +32,7 @@ class Moment:
     """The states (n, n_state) of n bodies at time t, or times (n,), and what quantities share.
 
     shear: directions (3, 3) of stream, gradient and vorticity to which the orbit constant refers,
-    None where there are none.
+    None where there are none. tolerance: to which the states are known.
     """
 
     def __init__(
@@ -42,7 +42,9 @@ class Moment:
         states: Array,
         shear: Array | None,
         stress: StressSource | None = None,
+        tolerance: float = 0.0,
     ) -> None:
+        self.tolerance = tolerance
         self.equations, self.t, self.states, self.shear = equations, t, states, shear
         self._stress = stress
 
@@ -128,7 +130,9 @@ OBSERVABLES: dict[str, Callable[[Moment], Array]] = {
     "angular_velocity": lambda moment: moment.velocities[1],
     "force": lambda moment: moment.force_torque[0],
     "torque": lambda moment: moment.force_torque[1],
-    "euler_angles": lambda moment: rotation.to_euler(moment.orientation, _POLE),
+    "euler_angles": lambda moment: rotation.to_euler(
+        moment.orientation, max(_POLE, moment.tolerance)
+    ),
     "orbit_constant": _orbit_constant,
     "stresslet": lambda moment: moment.stresslet,
     "particle_stress": lambda moment: moment.particle_stress,
@@ -146,12 +150,13 @@ def observe(
     wanted: Iterable[str] = (),
     shear: Array | None = None,
     stress: StressSource | None = None,
+    tolerance: float = 0.0,
 ) -> dict[str, Array]:
     """The wanted quantities (T, n, ...) from the states (T, n, n_state) at the times (T,).
 
     Position, axis and both velocities are always among them. steady: whether the flow is. shear:
-    as in `Moment`; the orbit constant is NaN without it. stress: what knows the stresslets. Raises
-    KeyError for an unknown name.
+    and tolerance: as in `Moment`; the orbit constant is NaN without the first. stress: what knows
+    the stresslets. Raises KeyError for an unknown name.
     """
     samples, n = states.shape[:2]
     vectors = steady or (equations.changing is not None and stress is None)
@@ -168,7 +173,7 @@ def observe(
         if many.n_lanes != len(y):
             many = equations.repeated(count)
         t = float(times[start]) if steady or count == 1 else np.repeat(times[piece], n)
-        moment = Moment(many, t, y, shear, stress)
+        moment = Moment(many, t, y, shear, stress, tolerance)
         for name, array in results.items():
             array[piece] = OBSERVABLES[name](moment).reshape(count, n, *array.shape[2:])
     return results

@@ -238,14 +238,15 @@ class Run:
         length, place = ts.getTimeStep(), int(np.searchsorted(breaks, t, "right"))
         last = place == len(breaks)
         limit = self._end if last else float(breaks[place])
+        since = t if place and breaks[place - 1] == t else -math.inf
         if len(breaks) or self._jumps:
-            self._watch.until(limit)
+            self._watch.until(limit, since)
         known = system.cover(t, min(t + length, limit))
         near, jump = system.near(t)
         self._jumps = jump < limit
         if self._jumps:
             limit, last = jump, False
-            self._watch.until(limit)
+            self._watch.until(limit, since)
             known = system.cover(t, min(t + length, limit))
         # Steps of BDF that go up and down are not stable, and their errors not seen.
         if near < t + length and system.method != "bdf":

@@ -3,6 +3,7 @@
 States are (columns, n_state) as in `motion.layout`.
 """
 
+import math
 from dataclasses import dataclass
 
 from qbxstokes.geometry import rotation
@@ -21,8 +22,11 @@ class Watch:
     def begin(self, t: float, states: Array) -> None:
         """Before the first step from a start or a cut."""
 
-    def until(self, t: float) -> None:
-        """Let the equations be as before the break t, which is the next; inf: known for good."""
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """Let the equations be as before the break t, which is the next; inf: known for good.
+
+        since: a break at which the step begins, at which they are as just after it.
+        """
 
     def accept(self, t: float, states: Array) -> bool:
         """Whether the step that has ended so stands; if not it is taken again.
@@ -33,6 +37,20 @@ class Watch:
 
     def rest(self) -> None:
         """After the last step before a cut or the end."""
+
+
+class Between(Watch):
+    """Which instant is asked for at a break: one just before it, or just after it."""
+
+    _since, _last = -math.inf, math.inf
+
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """As in `Watch`."""
+        self._since, self._last = since, math.nextafter(t, -math.inf)
+
+    def between(self, t: float) -> float:
+        """The instant to ask for in the place of t."""
+        return min(math.nextafter(t, math.inf) if t == self._since else t, self._last)
 
 
 @dataclass(frozen=True)

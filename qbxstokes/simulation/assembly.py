@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -21,7 +20,7 @@ from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import build_events, watched
-from qbxstokes.simulation.flow_watch import FlowWatch, breaks_of, require_stokesian
+from qbxstokes.simulation.flow_watch import FlowWatch, breaks_of, require_stokesian, stops_of
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
@@ -107,17 +106,23 @@ class Assembled:
             times,
             self.tolerance,
             longest_step=longest,
-            breaks=self._breaks(end, longest or math.inf),
+            breaks=self._breaks(end, longest),
             watch=FlowWatch(self, end),
             **{**limits, **settings},
         )
 
-    def _breaks(self, end: float, longest: float) -> Array:
-        """`flow_watch.breaks_of` all flows."""
-        local = 0.0
-        if self.equations.changing is not None:
-            local = self.tolerance / self.equations.sensitivity(0.0, self.initial, end)
-        return breaks_of([part.flow for part in self.parts], end, local / longest)
+    def _breaks(self, end: float, longest: float | None) -> Array:
+        """`flow_watch.breaks_of` all flows, and `stops_of` those whose functions are asked."""
+        flows, equations = [part.flow for part in self.parts], self.equations
+        if not longest:  # nothing changes in time, or the run is its start
+            return breaks_of(flows, end, 0.0)
+        if equations.changing is not None:
+            local = self.tolerance / equations.sensitivity(0.0, self.initial, end)
+            return breaks_of(flows, end, local / longest)
+        k = equations.effective_ratio
+        accuracy = 0.01 * self.tolerance / float(np.max(np.maximum(k, 1.0 / k)))
+        stops = stops_of(flows, end, accuracy, longest)
+        return np.union1d(breaks_of(flows, end, 0.0), stops)
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.
@@ -156,7 +161,8 @@ class Assembled:
         shears = [part.frame.shear for part in self.parts]
         shear = shears[0] if len(shears) == 1 else None
         stress = self.stress if any(name in STRESS for name in wanted) else None
-        found = observe(self.equations, times, states, self.steady, wanted, shear, stress)
+        about = shear, stress, self.tolerance
+        found = observe(self.equations, times, states, self.steady, wanted, *about)
         if "orbit_constant" in found and len(self.parts) > 1:
             for lanes, part, shear in zip(self.slices(), self.parts, shears, strict=True):
                 axes, k = found["axis"][:, lanes], part.body.effective_ratio

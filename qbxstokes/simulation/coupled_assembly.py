@@ -21,10 +21,11 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.wall_constants import WallConstants
+from qbxstokes.petsc.trajectory import Between
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import split_columns, watched
-from qbxstokes.simulation.flow_watch import BreakWatch, breaks_of
+from qbxstokes.simulation.flow_watch import breaks_of, stops_of
 from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
 
@@ -41,7 +42,7 @@ _STEPS_IN_TIME = 20.0
 _LOOSE = 1e-6
 
 
-class Fluid:
+class Fluid(Between):
     """What the equations ask of a scene: each answer is a problem of its own.
 
     asked: whether a signal asks the run to stop; raises `Stopping` then, before the next problem.
@@ -169,9 +170,12 @@ class Together:
 
         equations, end, flow = self.equations, float(times[-1]), self.scene.flow
         local = self.scene.tolerance / equations.sensitivity(0.0, self.initial, end)
-        longest = None
+        longest, breaks = None, np.empty(0)
         if not (self.scene.steady and (flow is None or flow.steady)):
             longest = min(end / _STEPS_IN_TIME, math.inf if flow is None else flow.spacing)
+        if flow is not None and longest:
+            stops = stops_of([flow], end, 0.01 * self.scene.tolerance, longest)
+            breaks = np.union1d(breaks_of([flow], end, local / longest), stops)
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS}
         return integrate(
             equations,
@@ -180,8 +184,8 @@ class Together:
             self.scene.tolerance,
             method="5dp" if local > _LOOSE else "8vr",
             longest_step=longest,
-            breaks=() if flow is None else breaks_of([flow], end, local / (longest or math.inf)),
-            watch=BreakWatch([] if flow is None else [flow]),
+            breaks=breaks,
+            watch=self.fluid,
             **{**limits, **settings},
         )
 
@@ -233,7 +237,8 @@ class Together:
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
         """The wanted quantities (T, N, ...) from states (T, N, n_state) at times (T,)."""
         shear = None if self.scene.flow is None else self.scene.frame.shear
-        found = observe(self.equations, times, states, False, wanted, shear, self.fluid)
+        about = shear, self.fluid, self.scene.tolerance
+        found = observe(self.equations, times, states, False, wanted, *about)
         return {name: found[name] for name in dict.fromkeys((*wanted, *found))}
 
     def gaps(self, states: Array) -> Array:

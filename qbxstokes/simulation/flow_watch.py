@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -37,19 +38,22 @@ def breaks_of(flows: Sequence[Flow], end: float, error: float) -> Array:
     return np.asarray(found[(found > 0.0) & (found < end)])
 
 
-class BreakWatch(Watch):
-    """Lets flows show themselves as before a break while a step goes up to it."""
+def stops_of(flows: Sequence[Flow], end: float, accuracy: float, longest: float) -> Array:
+    """Instants at which steps end that are to see functions of time which nobody follows.
 
-    def __init__(self, flows: Sequence[Flow]) -> None:
-        self._flows = flows
+    accuracy: to which they are sampled. Raises FlowFunctionError where one is not smooth to it.
+    """
+    found = [np.empty(0)]
+    for signal in (signal for flow in flows for signal in flow.signals):
+        sampled = signal.sampled(end, accuracy, longest)
+        sampled.cover(end, 0.0)
+        if sampled.refusal is not None and sampled.refusal.key:  # else told when a step needs it
+            raise sampled.refusal
+        found.append(sampled.stops(longest))
+    return np.unique(np.concatenate(found))
 
-    def until(self, t: float) -> None:
-        """Let all flows show themselves as before the break t."""
-        for flow in self._flows:
-            flow.until(t)
 
-
-class FlowWatch(BreakWatch):
+class FlowWatch(Watch):
     """As `petsc.trajectory.Watch`, of all scenes that are integrated together up to `end`.
 
     Functions that were recognised as polynomials are held against these where a step has ended,
@@ -63,7 +67,7 @@ class FlowWatch(BreakWatch):
         self._parts = list(zip(assembled.parts, assembled.slices(), strict=True))
         parts = assembled.parts
         flows = (flow for part in parts for flow in (part.flow, part.carrier))
-        super().__init__(list({id(flow): flow for flow in flows}.values()))
+        self._flows = list({id(flow): flow for flow in flows}.values())
         self._users = [entry for entry in self._parts if not entry[0].flow.singular_points_known]
         self._motions: list[tuple[Any, slice, tuple[float, float]]] = []
         for (part, lanes), formed in zip(self._parts, assembled.hydrodynamics, strict=True):
@@ -74,6 +78,11 @@ class FlowWatch(BreakWatch):
                 self._motions.append((formed.provider, lanes, (allowed, slower)))
         self._count, self._looks, self._looked, self._apart = 0, 0, 0.0, end / _MOST_LOOKS
         self.looks = bool(self._users or self._motions)
+
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """Let all flows show themselves as before the break t, and after one at `since`."""
+        for flow in self._flows:
+            flow.until(t, since)
 
     def begin(self, t: float, states: Array) -> None:
         """Choose the grids of the steps to come."""
