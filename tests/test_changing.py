@@ -13,7 +13,7 @@ import pytest
 from test_data_flows import AXIS, cosines, jeffery
 
 import qbxstokes as qs
-from qbxstokes.errors import ConvergenceError, QbxStokesError, SinglePrecisionWarning
+from qbxstokes.errors import ConvergenceError, QbxStokesError, SceneError, SinglePrecisionWarning
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.signals import Part, Sampled, Signal
 from qbxstokes.petsc.stepper import integrate
@@ -396,8 +396,11 @@ def test_functions_that_are_asked_at_every_stage_are_seen(late: bool) -> None:
 
     if not late:
         start = {"orientation": [1, 0, 0.2]}
-        right = alone(stokeslet(fast, longest_step=1e-3), 2.0, 1e-8, **start)
-        found = alone(stokeslet(fast), 2.0, 1e-3, **start)
+        noise = stokeslet(lambda t: [math.sin(1e12 * t), 0.0, 0.0])
+        with pytest.raises(SceneError, match="no smooth function of time"):
+            alone(noise, 2.0, 1e-4, **start)
+        right = alone(stokeslet(fast, longest_step=2e-3), 1.0, 1e-6, **start)
+        found = alone(stokeslet(fast), 1.0, 1e-3, **start)
         assert np.abs(found.position - right.position).max() < 1e-3
 
 

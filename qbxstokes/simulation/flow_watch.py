@@ -41,14 +41,14 @@ def breaks_of(flows: Sequence[Flow], end: float, error: float) -> Array:
 def stops_of(flows: Sequence[Flow], end: float, accuracy: float, longest: float) -> Array:
     """Instants at which steps end that are to see functions of time which nobody follows.
 
-    accuracy: to which they are sampled. Raises FlowFunctionError where one is not smooth to it.
+    accuracy: to which they are sampled. Raises SceneError where one is not smooth to it.
     """
     found = [np.empty(0)]
     for signal in (signal for flow in flows for signal in flow.signals):
         sampled = signal.sampled(end, accuracy, longest)
         sampled.cover(end, 0.0)
         if sampled.refusal is not None and sampled.refusal.key:  # else told when a step needs it
-            raise sampled.refusal
+            raise SceneError("flow", str(sampled.refusal))
         found.append(sampled.stops(longest))
     return np.unique(np.concatenate(found))
 
