@@ -22,6 +22,14 @@ def numbers(name: str, values: ArrayLike, right: str) -> Array:
     return found
 
 
+def turned(orientation: ArrayLike) -> Array:
+    """Axes or quaternions as floats; raises SceneError where one is no number, or zero."""
+    found = numbers("orientation", orientation, "an axis [d1, d2, d3] or a quaternion")
+    if found.ndim and not np.all(np.any(found, axis=-1)):
+        raise SceneError("orientation", "has a zero vector", "an axis or quaternion of any length")
+    return found
+
+
 def accepted(value: Any) -> float:
     """The tolerance, the error accepted at the end; raises SceneError for what is none."""
     found = numbers("tolerance", value, "more than 0, at most 0.1")

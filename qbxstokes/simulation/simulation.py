@@ -23,7 +23,14 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.diagnostics import jeffery_period
 from qbxstokes.motion.equations import Constraints, Loads
-from qbxstokes.simulation.arguments import accepted, numbers, require, require_flow, section
+from qbxstokes.simulation.arguments import (
+    accepted,
+    numbers,
+    require,
+    require_flow,
+    section,
+    turned,
+)
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Need, Workshop
 from qbxstokes.simulation.result import Motion
@@ -282,9 +289,7 @@ class Simulation:
 def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
     """Positions (n, 3), unit quaternions (n, 4), and the shape of the leading axes of both."""
     x = numbers("position", position, "three numbers [x1, x2, x3], or places (..., 3)")
-    turn = numbers("orientation", orientation, "an axis [d1, d2, d3] or a quaternion")
-    if turn.ndim and not np.all(np.any(turn, axis=-1)):
-        raise SceneError("orientation", "has a zero vector", "an axis or quaternion of any length")
+    turn = turned(orientation)
     if x.shape[-1:] != (3,) or turn.shape[-1:] not in ((3,), (4,)):
         raise SceneError(
             "position",

@@ -13,6 +13,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.arguments import numbers, turned
 from qbxstokes.simulation.grid_choice import (
     MOST_NODES,
     choose_nodes,
@@ -82,14 +83,12 @@ class Suspension:
     def placed(self, position: ArrayLike, orientation: ArrayLike | None = None) -> list[Placed]:
         """The bodies at centres (N, 3) with axes (N, 3) or quaternions (N, 4); None: upright."""
         n = len(self)
-        x = np.asarray(position, dtype=np.float64)
-        turn = np.asarray((0.0, 0.0, 1.0) if orientation is None else orientation, np.float64)
+        x = numbers("position", position, f"shape {(n, 3)}: a centre each")
+        turn = turned((0.0, 0.0, 1.0) if orientation is None else orientation)
         x = x[None] if x.ndim == 1 and n == 1 else x
         turn = np.broadcast_to(turn, (n, turn.shape[-1])) if turn.ndim == 1 else turn
         if x.shape != (n, 3):
             raise SceneError("position", f"has shape {x.shape}", f"shape {(n, 3)}: a centre each")
-        if not np.all(np.isfinite(x)):
-            raise SceneError("position", "is not finite", "finite numbers")
         if turn.ndim != 2 or len(turn) != n or turn.shape[1] not in (3, 4):
             right = f"shape {(n, 3)} (axes) or {(n, 4)}"
             raise SceneError("orientation", f"has shape {turn.shape}", right)
