@@ -22,33 +22,20 @@ REFINEMENTS = 2
 
 
 class ShellContext:
-    """What PETSc calls on the operator: products with the matrix and its transpose."""
+    """What PETSc calls on an operator: products as of a matrix, or as of a preconditioner."""
 
     def __init__(self, operator: ModalOperator) -> None:
         self.operator = operator
 
-    def mult(self, mat: Any, x: Any, y: Any) -> None:
+    def mult(self, _: Any, x: Any, y: Any) -> None:
         """y = A x on the density in R^(3N)."""
         y.setArray(self.operator.apply(x.getArray(readonly=1)).ravel())
 
-    def multTranspose(self, mat: Any, x: Any, y: Any) -> None:
+    def multTranspose(self, _: Any, x: Any, y: Any) -> None:
         """y = A^T x."""
         y.setArray(self.operator.apply_transpose(x.getArray(readonly=1)).ravel())
 
-
-class PreconditionerContext:
-    """The inverse of the operator, mode by mode, as PETSc applies a preconditioner."""
-
-    def __init__(self, inverse: ModalOperator) -> None:
-        self.inverse = inverse
-
-    def apply(self, pc: Any, x: Any, y: Any) -> None:
-        """y = P^-1 x."""
-        y.setArray(self.inverse.apply(x.getArray(readonly=1)).ravel())
-
-    def applyTranspose(self, pc: Any, x: Any, y: Any) -> None:
-        """y = P^-T x."""
-        y.setArray(self.inverse.apply_transpose(x.getArray(readonly=1)).ravel())
+    apply, applyTranspose = mult, multTranspose
 
 
 def shell_matrix(operator: ModalOperator) -> Any:
@@ -106,7 +93,7 @@ class GmresSolver:
         pc = ksp.getPC()
         if preconditioned:
             pc.setType(PETSc.PC.Type.PYTHON)
-            pc.setPythonContext(PreconditionerContext(operator.inverse))
+            pc.setPythonContext(ShellContext(operator.inverse))
         else:
             pc.setType(PETSc.PC.Type.NONE)
         # Classical Gram-Schmidt, PETSc's default, loses the basis for k < 1/20 and stagnates.
