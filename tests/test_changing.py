@@ -404,6 +404,29 @@ def test_functions_that_are_asked_at_every_stage_are_seen(late: bool) -> None:
         assert np.abs(found.position - right.position).max() < 1e-3
 
 
+def test_several_bodies_keep_their_motion_up_to_where_a_function_ends() -> None:
+    def rate(t: float) -> float:
+        if t > 1.5:
+            raise ValueError("nothing after 1.5")
+        return 1.0
+
+    still = [[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]
+    for flow, last in (
+        (qs.flow("shear", rate=rate), 1.5),
+        (
+            qs.flow(
+                "linear",
+                gradient=qs.GradientSeries(np.linspace(0.0, 1.0, 11), np.zeros((11, 3, 3))),
+            ),
+            1.0,
+        ),
+    ):
+        scene = qs.Simulation([qs.Body(0.5), qs.Body(1.0)], flow, position=still, tolerance=1e-3)
+        motion = scene.integrate([0.0, 0.5, 2.0])
+        assert motion.time[-1] == pytest.approx(last, abs=1e-3)
+        assert len(motion.time) == 3
+
+
 def test_stresslets_change_and_walls_do_not() -> None:
     """Symmetric and traceless at every instant; entries, functions and samples are one flow."""
     strength = np.array([[1.0, 0.3, 0.0], [0.3, -0.5, 0.2], [0.0, 0.2, -0.5]])

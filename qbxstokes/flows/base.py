@@ -231,6 +231,20 @@ def add_flows(flows: Iterable[Flow]) -> Flow:
     return terms[0] if len(terms) == 1 else SumFlow(terms)
 
 
+class Between:
+    """Which instant is asked for at a break: one just before it, or just after it."""
+
+    last, since = math.inf, -math.inf
+
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """As `Flow.until`."""
+        self.last, self.since = math.nextafter(t, -math.inf), since
+
+    def between(self, t: float) -> float:
+        """The instant to ask for in the place of t."""
+        return min(math.nextafter(t, math.inf) if t == self.since else t, self.last)
+
+
 class SumFlow(Flow):
     """Sum of flows of which at most one is polynomial; made by `add_flows`."""
 

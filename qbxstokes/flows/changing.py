@@ -88,7 +88,7 @@ class ChangingFlow(SumFlow):
 
     def until(self, t: float, since: float = -math.inf) -> None:
         """Show itself, from now on, as between breaks: at t as just before, at `since` as after."""
-        self.signal.last, self.signal.since = math.nextafter(t, -math.inf), since
+        self.signal.until(t, since)
         if not self.polynomials:
             super().until(t, since)
 

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
+from qbxstokes.flows.base import Between
 from qbxstokes.flows.interpolation import Series
 from qbxstokes.flows.values import DOUBLE, SINGLE, Key, settled, tensor, traceless
-from qbxstokes.typing import Array, Integers
+from qbxstokes.typing import Array, Indices, Integers
 
 _NODES = 10
 _ROOTS = np.sort(chebyshev.chebpts1(_NODES))
@@ -43,6 +44,8 @@ NO_BOUND = "the rates of change grow without bound"
 _EDGE = 1e-4
 # Where a function is asked whether it is still what it was, as parts of a run.
 _PROBES = np.array([0.0, 0.137, 0.618, 0.911])
+_BREAKS = ("breaks",)  # the key that would help a function that is not smooth
+_STEP = 2  # pieces of a function that a step may be long
 # By how much more than they are accurate numbers of neighbouring pieces differ where they jump.
 _JUMP = 100.0
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
@@ -118,7 +121,7 @@ class Part:
         return np.array([self.at(s) for s in instants])
 
 
-class Signal:
+class Signal(Between):
     """Numbers (m,) that change in time, of parts one after the other.
 
     spacing: longest step that misses nothing of them.
@@ -127,7 +130,6 @@ class Signal:
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(parts)
         self.spacing = min(part.spacing for part in parts)
-        self.last, self.since = math.inf, -math.inf
         self._known: tuple[Any, Array, Sampled] | None = None
 
     @cached_property
@@ -145,10 +147,6 @@ class Signal:
         """Instants between 0 and `end` at which the numbers are not smooth (`Part.breaks`)."""
         found = np.unique(np.concatenate([part.breaks(end, rough) for part in self.parts]))
         return np.asarray(found[(found > 0.0) & (found < end)])
-
-    def between(self, t: float) -> float:
-        """The instant that is asked for: between the last break and the next (`Flow.until`)."""
-        return min(math.nextafter(t, math.inf) if t == self.since else t, self.last)
 
     def at(self, t: float) -> Array:
         """The numbers (m,) at an instant, as between the breaks about it."""
@@ -234,9 +232,9 @@ class Sampled:
             return -1
         return min(int(np.searchsorted(self.edges, t, "right")), len(self.origins)) - 1
 
-    def near(self, t: float, pieces: int) -> tuple[float, float]:
-        """Where a function is so many pieces on from t, and its next jump; inf for samples."""
-        last = int(np.searchsorted(self.edges, t, "right")) + pieces - 1
+    def near(self, t: float) -> tuple[float, float]:
+        """How far a step from t may go to see a function, and its next jump; inf for samples."""
+        last = int(np.searchsorted(self.edges, t, "right")) + _STEP - 1
         jump = int(np.searchsorted(self._jumps, t, "right"))
         return (
             math.inf if self._exact is not None or last >= len(self.edges) else self.edges[last],
@@ -244,18 +242,28 @@ class Sampled:
         )
 
     def stops(self, longest: float) -> Array:
-        """Instants at which steps end that are to see a function: its jumps, and every other edge
-        of the pieces that are shorter than half of the longest step; none for samples."""
+        """Instants at which steps end that are to see the function as far as it is known.
+
+        Its jumps, and where steps as long as by `near` are shorter than the longest; none of
+        samples. Raises FlowError for a function that is not smooth to the accuracy.
+        """
         if self._exact is not None:
             return np.empty(0)
-        edges = self.edges[::2]
+        self.cover(self.end, 0.0)
+        if self.refusal is not None and self.refusal.key == _BREAKS:  # else told when it is needed
+            raise self.refusal
+        edges = self.edges[::_STEP]
         dense = edges[1:][np.diff(edges) < longest * (1.0 - 1e-9)]
         return np.union1d(dense[dense < self.end], self._jumps)
 
     def many(self, t: Array) -> Array:
         """The numbers (..., m) at instants (...) that are covered."""
+        return self._of(self.pieces(t), t)
+
+    def pieces(self, t: Array) -> Indices:
+        """The pieces (...) that hold instants (...) that are covered."""
         last = len(self.origins) - 1
-        return self._of(np.clip(np.searchsorted(self.edges, t, "right") - 1, 0, last), t)
+        return np.clip(np.searchsorted(self.edges, t, "right") - 1, 0, last)
 
     def _of(self, pieces: Integers, t: Array) -> Array:
         """The polynomials of pieces (...) at instants (...)."""
@@ -351,7 +359,7 @@ class Sampled:
                 known = min(known, float(first[again].min()))
                 what = f"near t = {known:.6g} the flow is no smooth function of time"
                 right = "breaks, or a larger tolerance"
-                self.refusal = FlowFunctionError(f"{what}, or {NO_BOUND} ({right})", ("breaks",))
+                self.refusal = FlowFunctionError(f"{what}, or {NO_BOUND} ({right})", _BREAKS)
                 break
             first, middle, last = first[again], middle[again], last[again]
             first = np.stack([first, middle], axis=1).ravel()

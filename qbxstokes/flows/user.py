@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, FlowFunctionError
-from qbxstokes.flows.base import curl
+from qbxstokes.flows.base import Between, curl
 from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
 from qbxstokes.flows.transformed import Transformable
 from qbxstokes.flows.values import instants, number, tensor
@@ -74,7 +74,7 @@ class UserFlow(Transformable):
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
-        self._breaks, self._last = instants(breaks), math.inf
+        self._breaks, self._stretch = instants(breaks), Between()
         if parameters is not None and not isinstance(parameters, Mapping):
             raise FlowError(f"parameters must be names and values, not {parameters!r}", _GIVEN)
         if not all(isinstance(name, str) for name in parameters or {}):
@@ -186,11 +186,11 @@ class UserFlow(Transformable):
 
     def until(self, t: float, since: float = -math.inf) -> None:
         """Show itself, from now on, as before the break t: at t as just before it."""
-        self._last = math.nextafter(t, -math.inf)
+        self._stretch.until(t)
 
     def before_break(self, t: float) -> float:
         """The instant that the function is asked for (see `until`)."""
-        return min(t, self._last)
+        return self._stretch.between(t)
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3) by extrapolated differences."""

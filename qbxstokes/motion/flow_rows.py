@@ -16,8 +16,6 @@ from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.taylor import pack_flow
 from qbxstokes.typing import Array, Integers
 
-_STEP = 2  # pieces of a function that a step may be long
-
 
 class FlowRows:
     """Rows of the table of the flows of a block, (m,) or (m, n_lanes), that change.
@@ -70,7 +68,7 @@ class FlowRows:
     def near(self, t: float) -> tuple[float, float]:
         """How far a step from t may go to see what the flow does, and where the flow jumps next."""
         assert self._sampled is not None
-        return self._sampled.near(t, _STEP)
+        return self._sampled.near(t)
 
     def follow(self, other: "FlowRows") -> None:
         """Be as well known as the same flows of another block."""
@@ -110,9 +108,7 @@ class FlowRows:
             for lane in lanes:
                 found[lane] = self._asked(float(t[lane]))[:, group[lane]]
         else:
-            places = (
-                np.searchsorted(known.edges, t[lanes], "right").clip(max=len(known.origins)) - 1
-            )
+            places = known.pieces(t[lanes])
             x = ((t[lanes] - known.origins[places]) * known.scales[places])[:, None]
             powers = self._coefficients()[places, ..., group[lanes]]
             found[lanes] = _value([powers[:, k] for k in range(powers.shape[1] - 1, -1, -1)], x)

@@ -131,6 +131,12 @@ class Pieces:
         """The body model that all lanes share. Raises ValueError where they differ."""
         return self.bodies.models.only
 
+    def accuracy_in_time(self, tolerance: float) -> float:
+        """Relative accuracy of functions of time: a hundredth of a tolerance at the end, however
+        the axis magnifies it."""
+        k = self.effective_ratio
+        return 0.01 * tolerance / float(np.max(np.maximum(k, 1.0 / k)))
+
     def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
         """V and Omega (space frame), each (n_lanes, 3), in the states y (n_lanes, n_state)."""
         motion = np.zeros((self.n_lanes, 6))

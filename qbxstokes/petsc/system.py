@@ -65,9 +65,7 @@ class System:
         self._breaks = breaks
         self._changing = equations.changing
         if self._changing is not None:
-            # To a hundredth of the tolerance at the end, however the axis magnifies it.
-            k, span = equations.effective_ratio, end or 1.0
-            accuracy = 0.01 * tolerance / float(np.max(np.maximum(k, 1.0 / k)))
+            span, accuracy = end or 1.0, equations.accuracy_in_time(tolerance)
             self._changing.sample(span, accuracy, longest_step or 0.02 * span)
         self._guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance

@@ -39,20 +39,6 @@ class Watch:
         """After the last step before a cut or the end."""
 
 
-class Between(Watch):
-    """Which instant is asked for at a break: one just before it, or just after it."""
-
-    _since, _last = -math.inf, math.inf
-
-    def until(self, t: float, since: float = -math.inf) -> None:
-        """As in `Watch`."""
-        self._since, self._last = since, math.nextafter(t, -math.inf)
-
-    def between(self, t: float) -> float:
-        """The instant to ask for in the place of t."""
-        return min(math.nextafter(t, math.inf) if t == self._since else t, self._last)
-
-
 @dataclass(frozen=True)
 class Checkpoint:
     """All that a run needs to go on, and its record so far; only `time` and `state` at the start.

@@ -119,9 +119,7 @@ class Assembled:
         if equations.changing is not None:
             local = self.tolerance / equations.sensitivity(0.0, self.initial, end)
             return breaks_of(flows, end, local / longest)
-        k = equations.effective_ratio
-        accuracy = 0.01 * self.tolerance / float(np.max(np.maximum(k, 1.0 / k)))
-        stops = stops_of(flows, end, accuracy, longest)
+        stops = stops_of(flows, end, equations.accuracy_in_time(self.tolerance), longest)
         return np.union1d(breaks_of(flows, end, 0.0), stops)
 
     def _longest_step(self, end: float) -> float | None:

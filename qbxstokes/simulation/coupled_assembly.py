@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
+from qbxstokes.flows.base import Between
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
@@ -21,7 +22,7 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
 from qbxstokes.motion.wall_constants import WallConstants
-from qbxstokes.petsc.trajectory import Between
+from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import split_columns, watched
@@ -42,7 +43,7 @@ _STEPS_IN_TIME = 20.0
 _LOOSE = 1e-6
 
 
-class Fluid(Between):
+class Fluid(Between, Watch):
     """What the equations ask of a scene: each answer is a problem of its own.
 
     asked: whether a signal asks the run to stop; raises `Stopping` then, before the next problem.

@@ -45,11 +45,10 @@ def stops_of(flows: Sequence[Flow], end: float, accuracy: float, longest: float)
     """
     found = [np.empty(0)]
     for signal in (signal for flow in flows for signal in flow.signals):
-        sampled = signal.sampled(end, accuracy, longest)
-        sampled.cover(end, 0.0)
-        if sampled.refusal is not None and sampled.refusal.key:  # else told when a step needs it
-            raise SceneError("flow", str(sampled.refusal))
-        found.append(sampled.stops(longest))
+        try:
+            found.append(signal.sampled(end, accuracy, longest).stops(longest))
+        except FlowError as refusal:
+            raise SceneError("flow", str(refusal)) from None
     return np.unique(np.concatenate(found))
 
 
