@@ -234,8 +234,8 @@ class Sampled:
 
     def near(self, t: float) -> tuple[float, float]:
         """How far a step from t may go to see a function, and its next jump; inf for samples."""
-        last = int(np.searchsorted(self.edges, t, "right")) + _STEP - 1
-        jump = int(np.searchsorted(self._jumps, t, "right"))
+        last = int(self.edges.searchsorted(t, "right")) + _STEP - 1
+        jump = int(self._jumps.searchsorted(t, "right"))
         return (
             math.inf if self._exact is not None or last >= len(self.edges) else self.edges[last],
             math.inf if jump == len(self._jumps) else self._jumps[jump],

@@ -202,7 +202,7 @@ class Run:
                 self._vector.setArray(start)
             self.reached = t
             reach = t if halt is None else halt
-            behind = index if reach < times[index] else int(np.searchsorted(times, reach, "right"))
+            behind = index if reach < times[index] else int(times.searchsorted(reach, "right"))
             if index < behind:
                 samples += self._inside.states_at(before, start, t, times[index:behind])
                 index = behind
@@ -235,7 +235,7 @@ class Run:
     def _to_break(self, t: float, start: Array) -> None:
         """One accepted step from t, up to the next break at most."""
         ts, breaks, system = self.ts, self._breaks, self._system
-        length, place = ts.getTimeStep(), int(np.searchsorted(breaks, t, "right"))
+        length, place = ts.getTimeStep(), int(breaks.searchsorted(t, "right"))
         last = place == len(breaks)
         limit = self._end if last else float(breaks[place])
         since = t if place and breaks[place - 1] == t else -math.inf
