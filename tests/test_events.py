@@ -123,6 +123,8 @@ def test_meeting_a_point_is_seen_from_the_surface() -> None:
     events = Events(equations, contacts=Contacts([gap], np.ones(1)))
     found = integrate(equations, start, [20.0], 1e-9, observe=events)
     assert found.states[-1, 0, 0] == pytest.approx(-1.5, abs=1e-8)
+    assert events.contacts is not None
+    assert events.contacts.nearest["clearance"] == (0.5, found.times[-1])
 
 
 def test_events_of_a_resumed_run_are_those_of_a_whole_one() -> None:

@@ -28,7 +28,8 @@ class Gap:
     """Something that some lanes must not reach.
 
     name: of the event. distance: (m,) from states (m, n_state) of these lanes. room: that of their
-    centres (m, 3), which is quickly found. reason: what ends a lane that reaches it.
+    centres (m, 3), which is quickly found. reason: what ends a lane that reaches it. least: what is
+    left of the way to the thing itself where the distance is zero.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Gap:
     room: Callable[[Array], Array]
     reason: str
     lanes: slice
+    least: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,15 +75,15 @@ def singular_gap(points: Array, shape: Shape, least: float) -> Gap:
         return np.asarray(away.min(axis=-1) - least)
 
     reason = f"a singular point of the flow is {least:.3g} from the surface"
-    return Gap("clearance", distance, room, reason, slice(None))
+    return Gap("clearance", distance, room, reason, slice(None), least)
 
 
 class Contacts:
     """Watches the gaps of all lanes; call it with every step.
 
     arm (n,): largest distance of a surface from its centre. ended: contacts by lane, the first of
-    each. nearest: of every event, the least gap below a body length that was seen at the end of a
-    step, and when.
+    each. nearest: of every event, the least way to the thing, if less than a body length, that was
+    seen at the end of a step or of a lane, and when.
     """
 
     def __init__(self, gaps: Sequence[Gap], arm: Array) -> None:
@@ -171,6 +173,7 @@ class Contacts:
             t, gap = first
             state = (last if t == t1 else step.state(t))[lane].copy()
             found.append(Contact(lane, t, state, gap.name, gap.reason))
+            self.nearest[gap.name] = gap.least, t
         for contact in found:
             self.ended[contact.lane] = contact
         return found
@@ -179,5 +182,6 @@ class Contacts:
         """Remember the least gaps."""
         for gap, row in zip(self.gaps, distances, strict=True):
             lane = int(row.argmin())
-            if row[lane] < self.nearest.get(gap.name, (2.0 * self._arm[lane], t))[0]:
-                self.nearest[gap.name] = float(row[lane]), t
+            way = float(row[lane]) + gap.least
+            if way < self.nearest.get(gap.name, (2.0 * self._arm[lane], t))[0]:
+                self.nearest[gap.name] = way, t

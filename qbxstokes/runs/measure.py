@@ -167,7 +167,8 @@ def _error(loaded: LoadedCase, compared: Callable[[], Comparison]) -> float:
     if loaded.case.compare.reference == "none":
         return np.nan
     comparison = compared()
-    return comparison.largest if set(comparison.errors) - {"resistance"} else np.nan
+    known = set(comparison.errors) - {"resistance"}
+    return np.nan if comparison.largest is None or not known else comparison.largest
 
 
 def _of_several(loaded: LoadedCase, result: BlockResult) -> dict[str, Any]:

@@ -226,7 +226,7 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
                 **coupled_assembly.facts(assembled, trajectory),
                 "events": coupled_assembly.meetings_summary(watch),
                 "errors": {},
-                "largest_error": 0.0,
+                "largest_error": None,
             }
 
         return _followed(job, recording, team, assembled, watch, facts, lambda *_: dismiss())

@@ -186,7 +186,7 @@ def _sampling(result: Result) -> Rows:
     from qbxstokes.plots.picture_source import TURN_LIMIT, turn_between
 
     turn = turn_between(result)
-    if turn > 0.0:
+    if turn > 1e-9:  # less is rounding
         few = "; too few to draw" if turn > TURN_LIMIT else ""
         yield "samples per turn", f"{6.2832 / turn:.3g} where the axis turns fastest{few}"
 

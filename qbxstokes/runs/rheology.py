@@ -97,7 +97,7 @@ def _computed(
         "suspension": {**found.summary, **_heads(found)},
         "errors": errors,
         "references": references,
-        "largest_error": max(errors.values(), default=0.0),
+        "largest_error": max(errors.values(), default=None),
     }
     summary = job.write(told, arrays, {"time": STRAIN_TIME, **RHEOLOGY})
     if section.tables and "distribution" in arrays:

@@ -82,14 +82,17 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
         yield from loaded.case.units.scales.remarks
     for name in summary["unused_petsc_options"]:
         yield f"PETSc option -{name} was not used by anything"
+    if compared is not None and summary["largest_error"] is None:
+        why = summary.get("note") or "no closed form is known or asked for"
+        yield f"compare.tolerance {compared:g} is held against nothing: {why}"
     if missed(loaded, summary):
         yield f"largest error {summary['largest_error']:.1e} exceeds compare.tolerance {compared:g}"
 
 
 def missed(loaded: LoadedCase, summary: dict[str, Any]) -> bool:
     """Whether an error exceeds `compare.tolerance`, or is not a number."""
-    limit = loaded.case.compare.tolerance
-    return limit is not None and not summary["largest_error"] <= limit
+    limit, error = loaded.case.compare.tolerance, summary["largest_error"]
+    return limit is not None and error is not None and not error <= limit
 
 
 def _errors(summary: dict[str, Any]) -> Rows:
@@ -304,7 +307,9 @@ def _seen(summary: dict[str, Any]) -> Rows:
     if "ended_by" in found:
         by = f", {found['ended_by']}" if "solves" in summary else ""
         yield "ended", f"at t = {quantity(summary['end'])}{by}: {found['ended_because']}"
-    if "solves" in summary and "final_position" in summary:
+    if "final_position" in summary:
         places = np.atleast_2d(summary["final_position"])[:MANY]
-        for number, place in enumerate(places):
-            yield " " if number else "at the end", f"({vector(place)})"
+        axes = np.atleast_2d(summary["final_axis"])
+        for number, (place, axis) in enumerate(zip(places, axes, strict=False)):
+            at = f"centre ({vector(place)}), axis ({vector(axis)})"
+            yield " " if number else "at the end", at

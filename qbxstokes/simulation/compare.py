@@ -41,9 +41,11 @@ class Comparison:
         self.references[name] = reference
 
     @property
-    def largest(self) -> float:
-        """The largest of the errors, 0 where there is none; NaN counts as infinite."""
-        values = np.array([*self.errors.values(), 0.0])
+    def largest(self) -> float | None:
+        """The largest of the errors, None where nothing is compared; NaN counts as infinite."""
+        if not self.errors:
+            return None
+        values = np.array([*self.errors.values()])
         return float("inf") if np.isnan(values).any() else float(values.max())
 
 
