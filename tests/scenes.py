@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,13 @@ from qbxstokes.bie.accuracy import AccurateBody, accurate_body
 from qbxstokes.bie.faxen import stokes_polynomials
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.bie.providers import SolveMotion
+from qbxstokes.bie.resolution import flow_nodes, resolving_nodes
 from qbxstokes.flows import PolynomialFlow
+from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
+from qbxstokes.reference import faxen
 
 Array = NDArray[np.float64]
 
@@ -247,3 +251,56 @@ def phase_period(times: Array, axes: Array, aspect_ratio: float) -> tuple[float,
     slope = float(centred @ (angle - angle.mean()) / (centred @ centred))
     residual = float(np.max(np.abs(angle - angle.mean() - slope * centred)))
     return 2.0 * np.pi / abs(slope), residual
+
+
+# -- bodies in flows that are not polynomials as well ----------------------------------------------
+
+
+def random_sample(rng: np.random.Generator, extreme: float = 50.0) -> tuple[float, Array, Any]:
+    """Aspect ratio, orientation (a quaternion) and flow about the body at the origin."""
+    k = float(extreme ** rng.uniform(-1.0, 1.0))
+    q = rotation.random_quaternions(1, rng)[0]
+    if rng.uniform() < 0.5:
+        degree = int(rng.integers(1, 4))
+        parts = [rng.normal(size=3)]
+        for order in (1, 2, 3):
+            basis = stokes_polynomials(order)
+            weights = rng.normal(size=len(basis)) * (order <= degree)
+            parts.append(np.tensordot(weights, basis, axes=1))
+        return k, q, PolynomialFlow(*parts)
+    place = rotation.random_axes(1, rng)[0] * max(1.0, k) * rng.uniform(1.5, 5.0)
+    kind = int(rng.integers(3))
+    if kind == 2:
+        strain = rng.normal(size=(3, 3))
+        strain += strain.T
+        strain -= np.trace(strain) / 3.0 * np.eye(3)
+        return k, q, Stresslet(strain, place)
+    return k, q, (Stokeslet, Rotlet)[kind](rng.normal(size=3), place)
+
+
+def examine(k: float, q: Array, flow: Any, tolerance: float) -> tuple[float, float]:
+    """True error and estimate of free motion and of force and torque of the body held fixed.
+
+    The largest of the four, each relative to its own length, against Faxen's laws of the ellipsoid
+    (Kim & Karrila 1991, chapter 3).
+    """
+    body, turn = accurate_body(Spheroid(k), tolerance, degree=flow.degree or 3), rotation.matrix(q)
+
+    def velocity(points: Array) -> Array:
+        return flow.velocity(points @ turn.T) @ turn
+
+    n_theta, n_phi, left = body.functional.grid.n_theta, 8, 0.0
+    if flow.polynomial is None:
+        share = 0.1 * tolerance  # as in a run
+        start = flow_nodes(float(np.max(Spheroid(k).decay(flow.singular_points @ turn))), share)
+        n_theta, n_phi, left = resolving_nodes(body.functional, velocity, share, start)
+    grid = body.functional.on_grid(n_phi, n_theta)
+    motion = np.einsum("anj,nj->a", grid.weights, velocity(grid.points)).reshape(2, 3)
+    r = body.model.resistance
+    force = np.array([r.translation_transverse, r.translation_transverse, r.translation_axial])
+    torque = np.array([r.rotation_transverse, r.rotation_transverse, r.rotation_axial])
+    found = np.array([*motion, force * motion[0], torque * motion[1]]) @ turn.T
+    scene = (k, turn, np.zeros(3), flow.velocity, 150)
+    exact = np.array([*faxen.free_motion(*scene), *faxen.fixed_force_torque(*scene)])
+    errors = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    return float(errors.max()), body.model.error_estimate + left

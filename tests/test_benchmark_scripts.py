@@ -34,13 +34,6 @@ def small(name: str) -> dict[str, Rows]:
     return tables
 
 
-@pytest.mark.slow
-def test_honesty() -> None:
-    rows = small("honesty")["honesty"]
-    assert column(rows, "missed").tolist() == [0] * 4
-    assert np.all(column(rows, "within_100") > 0.5)
-
-
 def test_the_graded_scheme_is_no_worse_and_iterations_are_few() -> None:
     tables = small("hydrodynamics")
     for row in tables["schemes"]:
