@@ -6,6 +6,7 @@ KILLS are shared among the kinds of runs (default: one of each). A kill is SIGKI
 to all, at any instant from the start of the program on, that of the merge and of the start
 included. A run that ends before it is killed is compared and begun again. EVERY names the intervals
 of checkpoints, in seconds, for which what a kill loses is measured (default: 1; `EVERY=1,3,30`).
+PATHS=100000 follows so many (default: 500; 3.6 GB in HDF5, made here and deleted; 10 min).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,7 @@ KINDS: dict[str, tuple[int, dict[str, Any]]] = {
     "field on two": (2, {"task": "field", **SHEAR, "field": FIELD, "checkpoint": OFTEN}),
 }
 KILLS = -(-int(os.environ.get("KILLS", len(KINDS))) // len(KINDS))
+PATHS = int(os.environ.get("PATHS", "500"))
 EVERY = [float(number) for number in os.environ.get("EVERY", "1").split(",")]
 
 
@@ -231,3 +233,56 @@ def test_what_is_lost_is_what_was_asked_for(
     kill(job, random.Random(0))
     assert ran, "it ended too early to tell"
     see(oldest, 1.5 * every + 0.5, f"{kind}, every {every} s")
+
+
+def make_paths(file: Path, samples: int, end: float) -> None:
+    """Gradients of five cosines along each path, [time, trajectory], 256 paths at a time."""
+    times, rng = np.linspace(0.0, end, samples), np.random.default_rng(1)
+    frequency = np.array([0.4, 0.9, 1.5, 2.3, 3.1])
+    with h5py.File(file, "w") as out:
+        out["t"] = times
+        data = out.create_dataset("A", (PATHS, samples, 9), np.float32)
+        for first in range(0, PATHS, 256):
+            n = min(256, PATHS - first)
+            phase = rng.uniform(0.0, 2.0 * np.pi, (n, 1, 5))
+            waves = np.cos(times[:, None] * frequency + phase).astype(np.float32)
+            amplitude = 0.3 * rng.normal(size=(n, 5, 9))
+            amplitude[..., 8] = -amplitude[..., 0] - amplitude[..., 4]
+            data[first : first + n] = waves @ amplitude.astype(np.float32)
+
+
+def test_many_paths(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    """The same bits on one rank to three and after a kill; what a rank holds of them is bounded."""
+    samples, end = 1001, 20.0
+    make_paths(tmp_path / "paths.h5", samples, end)
+    case = {
+        "body": {"aspect_ratio": 0.2},
+        "flow": {"type": "linear", "gradient": {"file": "paths.h5"}},
+        "time": {"end": end, "tolerance": 1e-6},
+        "statistics": {"quantities": ["tumbling"], "keep": 64, "every": 10},
+        "checkpoint": {"every": "2 s"},
+        "sweep": {"axes": [{"flow.trajectory": "all"}], "store": "statistics"},
+    }
+    (tmp_path / "case.yaml").write_text(json.dumps(case))
+    first, told, spans = {}, "", []
+    for ranks, killed in ((2, False), (1, False), (3, True)):
+        result = tmp_path / f"{ranks}{'_killed' * killed}.h5"
+        words = ["--set", f"output.file={result.name}"]
+        if killed:
+            job = start(tmp_path, ranks, *words)
+            time.sleep(0.5 * spans[0])
+            kill(job, random.Random(0))
+            words.append("--resume")
+        begin = time.monotonic()
+        job = start(tmp_path, ranks, *words)
+        _, job.returncode, use = os.wait4(job.pid, 0)
+        job.communicate()
+        spans.append(time.monotonic() - begin)
+        first = first or contents(result)
+        assert (job.returncode, contents(result) == first) == (0, True)
+        assert use.ru_maxrss < 300 * 1024
+        span, size = 1e6 * spans[-1] * ranks / (PATHS * samples), result.stat().st_size / 1e6
+        told += (
+            f"{ranks}{' killed' * killed}: {span:.2g} us, {use.ru_maxrss >> 10} MB, {size:.2g} MB; "
+        )
+    record_property("worst", f"ranks: time of a path and sample, memory of a rank, result: {told}")

@@ -4,12 +4,14 @@ One spheroid, k log-uniform in [1/50, 50], St = 0 or log-uniform in [1e-2, 1e3],
 [1e-10, 1e-4], over T = 10 in a gradient of five cosines: as a function, sampled with linear
 interpolation, held from sample to sample, or a pulse of width 0.02 to 0.2 in a fluid at rest. The
 axis at the end, of `Body.integrate` (PETSc TS) and of an ensemble, against ensembles at 1e-12,
-which are another method (held against SciPy's DOP853 in tests/test_ensemble.py).
+which are another method (held against SciPy's DOP853 in tests/test_ensemble.py). And in flows of
+five distant stokeslets that the program knows nothing of, against a thousandth of the tolerance.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,3 +69,40 @@ def test_motions_and_ensembles_keep_their_tolerance(see: See, kind: int) -> None
         where = f"seed {seed}, St = {body.stokes_number:g}, tolerance {tolerance:.0e}"
         see(np.abs(end - exact).max() / tolerance, 10.0, f"motion, {where}")
         see(np.abs(paths - exact).max() / tolerance, 1.0, f"ensemble, {where}")
+
+
+def stokeslets(rng: np.random.Generator, scale: float, steady: bool) -> Callable[..., Any]:
+    """A flow of five at 1.5 to 2.5 of its scale, zero at the origin; strengths may turn."""
+    places, forces = rng.normal(size=(2, 5, 3))
+    places *= scale * rng.uniform(1.5, 2.5, (5, 1)) / np.linalg.norm(places, axis=1)[:, None]
+    turning = 0.0 * places[:, 0] if steady else rng.uniform(0.2, 2.0, 5)
+
+    def each(d: Any) -> Any:
+        r = np.linalg.norm(d, axis=-1, keepdims=True)
+        return forces / r + d * np.sum(d * forces, -1, keepdims=True) / r**3
+
+    def flow(x: Any, t: float) -> Any:
+        found = each(x[:, None] - places) - each(-places)
+        return 0.5 * scale**2 * np.sum(found * np.cos(turning * t)[:, None], axis=1)
+
+    return flow
+
+
+@pytest.mark.slow
+def test_flows_of_a_users_function_keep_their_tolerance(see: See) -> None:
+    """Axis, and place relative to the way if that is longer than the body: ten tolerances."""
+    for seed in range(max(6, RUNS // 5)):
+        rng = np.random.default_rng(seed)
+        k, tolerance = float(40.0 ** rng.uniform(-1.0, 1.0)), float(10.0 ** -rng.uniform(4, 8))
+        scale = max(1.0, k) * float(6.0 * 25.0 ** rng.uniform())
+        flow = qs.flow("user", function=stokeslets(rng, scale, seed % 2 == 0), length=scale)
+        body, end = qs.Body(k, stokes_number=[0.0, 0.0, 3.0][seed % 3]), float(rng.uniform(3, 9))
+        motion, true = (
+            body.integrate(flow, [end], orientation=[0.48, 0.6, 0.64], tolerance=accepted)
+            for accepted in (tolerance, max(1e-3 * tolerance, 1e-12))
+        )
+        way = max(1.0, float(np.linalg.norm(true.position[-1])))
+        error = np.linalg.norm(motion.position[-1] - true.position[-1]) / way
+        error = max(float(error), float(np.abs(motion.axis[-1] - true.axis[-1]).max()))
+        where = f"k = {k:.3g}, scale {scale:.3g}, tolerance {tolerance:.0e}"
+        see(error / tolerance, 10.0, f"{where}, {motion.summary['method']}")
