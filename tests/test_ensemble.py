@@ -253,6 +253,65 @@ def test_what_the_sampling_leaves_is_told() -> None:
         assert 0.3 * true < found.sampling()["axis_median"] < 30.0 * true
 
 
+def turning_gradient(t: float) -> Array:
+    """Not smooth at t = 1."""
+    a = np.array([[0.0, np.cos(t), 0.0], [0.2, 0.0, np.sin(3.0 * t)], [0.0, -0.4, 0.0]])
+    return a if t <= 1.0 else 2.0 * a
+
+
+@pytest.mark.parametrize("stokes", [0.0, 0.5])
+def test_one_function_of_time_turns_all_bodies(stokes: float) -> None:
+    """Against the motions themselves, at instants of their own, the first not at 0."""
+    times, axes = np.array([0.3, 0.7, 1.9, 2.0, 5.0]), np.array([[0.6, 0.0, 0.8], AXIS])
+    bodies = [qs.Body(k, stokes_number=stokes) for k in (0.05, 4.0)]
+    flow = qs.flow("linear", gradient=turning_gradient, breaks=[1.0])
+    keep = {"keep": 2}
+    found = qs.ensemble(bodies, flow, times, orientation=axes, statistics=keep, tolerance=1e-8)
+    assert found.axes is not None
+    assert found.time == pytest.approx(times[:-1])
+    for place, one in enumerate(bodies):
+        motion = one.integrate(flow, times, orientation=axes, tolerance=1e-9)
+        assert np.abs(found.axes[:, :, place] - motion.axis[:, :-1]).max() < 1e-7
+    assert found.summary["sampling"]["gradient"] < 1e-9
+
+
+def test_expressions_steady_flows_and_series_are_shared_as_well() -> None:
+    times = np.linspace(0.0, 3.0, 31)
+    samples = [[[0.0, np.cos(t), 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]] for t in times]
+    series = qs.flow("linear", gradient=qs.GradientSeries(times, samples))
+    flows = qs.flow("shear", rate="cos(t)"), lambda t: np.array(samples[0]) * np.cos(t), series
+    found = [qs.ensemble(body(0.2), flow, times, paths=300) for flow in flows]
+    for other in found[1:]:
+        assert other.moments == pytest.approx(found[0].moments, rel=1e-6)
+    steady = qs.ensemble(body(0.2), qs.flow("shear"), times, orientation=AXIS)
+    assert steady.mean("tumbling")[0] > 0.0
+    assert steady.summary["sampling"] == {}
+    case = {
+        "body": {"aspect_ratio": 0.2},
+        "flow": {"type": "shear", "rate": "cos(t)"},
+        "time": {"end": 3.0, "samples": 31},
+        "statistics": {"keep": 1},
+        "sweep": {
+            "axes": [
+                {"start.orientation": [AXIS.tolist(), [1, 0, 0]]},
+                {"body.aspect_ratio": [0.2, 5]},
+            ],
+            "store": "statistics",
+        },
+    }
+    same = qs.ensemble(
+        [body(0.2), body(5.0)],
+        flows[0],
+        times,
+        orientation=[AXIS, [1.0, 0.0, 0.0]],
+        statistics={"keep": 1},
+    )
+    assert qs.run(case).axis == pytest.approx(same.axes, abs=1e-8)
+    case["sweep"]["axes"][0]["flow.trajectory"] = [0, 1]
+    with pytest.raises(CaseError):
+        qs.run(case)
+
+
 def test_bad_input_is_refused() -> None:
     times = np.linspace(0.0, 1.0, 11)
     a = smooth_gradients(1, 3, times)
@@ -261,8 +320,14 @@ def test_bad_input_is_refused() -> None:
         qs.ensemble(body(0.2), series, orientation=np.ones((2, 3)))
     with pytest.raises(SceneError, match="bins"):
         qs.ensemble(body(0.2), series, statistics={"bins": 0})
-    with pytest.raises(SceneError, match="flow"):
-        qs.ensemble(body(0.2), qs.flow("shear"))  # type: ignore[arg-type]
+    with pytest.raises(SceneError, match="linear flow"):
+        qs.ensemble(body(0.2), qs.flow("paraboloid"), times)
+    with pytest.raises(SceneError, match="times are missing"):
+        qs.ensemble(body(0.2), qs.flow("shear"))
+    with pytest.raises(SceneError, match="times is given"):
+        qs.ensemble(body(0.2), series, times)
+    with pytest.raises(SceneError, match="paths are 3"):
+        qs.ensemble(body(0.2), qs.flow("shear"), times, paths=3, orientation=np.ones((2, 3)))
     a[1, 4, 0, 0] = np.nan
     with pytest.raises(FlowError, match="path 1, sample 4"):
         qs.ensemble(body(0.2), qs.GradientSeries(times, a))
@@ -363,7 +428,8 @@ def test_ranks_leave_the_bits_alone(tmp_path: Path, mpirun: Run) -> None:
             "massless",
         ),
         ({"time": {"end": 3.0}}, "is 3 and the series covers 0 to 2"),
-        ({"forces": {"force": [0, 0, 1]}}, "have no statistics"),
+        ({"forces": {"force": [0, 0, 1]}}, "forces: has no meaning"),
+        ({"start": {"angular_velocity": [0, 0, 1]}, "body": {"stokes_number": 1.0}}, "no meaning"),
         ({"flow": {"type": "shear"}}, "has no paths"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.interpolation import Series
+from qbxstokes.flows.interpolation import Series, power_weights
 from qbxstokes.flows.random_gradients import RandomSamples
 from qbxstokes.flows.samples import InFile, InRows, View
 from qbxstokes.flows.user import resolve_paths
@@ -67,6 +67,16 @@ class GradientSeries(Series):
     def gaussian(cls, **keys: Any) -> GradientSeries:
         """Paths at random (`random_gradients`): end, spacing, paths, rate, correlation_time, ..."""
         return series_of_file({"process": "gaussian", **keys})
+
+    @property
+    def intervals(self) -> tuple[Array, Integers, Array]:
+        """Ends of intervals, first samples of their windows, and weights (`power_weights`)."""
+        return self.times, *power_weights(self.times, self.interpolation)
+
+    def typical(self, paths: int) -> Array:
+        """Gradients (n, 9) of which the size is typical: of the first paths, at both ends."""
+        ends = [self.read(0, paths, t, t + 1) for t in (0, len(self.times) - 1)]
+        return np.concatenate(ends).reshape(-1, 9)
 
     def thinned(self) -> GradientSeries:
         """The same of every other sample."""

@@ -33,10 +33,11 @@ from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.ensemble import BLOCK, Ensemble, Sums, added, turns_with_inertia
-from qbxstokes.simulation.ensemble_means import Found
-from qbxstokes.simulation.from_case import pointed, start_quaternion
+from qbxstokes.simulation.ensemble import BLOCK, Ensemble, turns_with_inertia
+from qbxstokes.simulation.ensemble_means import Found, Sums, added, slenderness
+from qbxstokes.simulation.from_case import body_of, pointed, start_quaternion, times_of
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.shared_gradient import SharedGradient
 from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:
@@ -67,8 +68,8 @@ def ensemble_command(job: Job) -> int:
     summary = _run(job, ensemble, swept)
     if "finished_before" in summary:
         job.tell(summary, lambda: f"{summary['result']}: complete, nothing to resume")
-        return 0
-    job.conclude(summary, lambda: summary_text(loaded, summary))
+    else:
+        job.conclude(summary, lambda: summary_text(loaded, summary))
     return 0
 
 
@@ -82,20 +83,22 @@ def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, AnyArray]]:
     assert case.time is not None
     paths: Column | None = None
     starts: Column | None = None
-    axes = []
+    axes, alone = [], None
     for columns in space.axes:
         names = {column.key: column for column in columns}
         if TRAJECTORY in names:
             paths, starts = names.pop(TRAJECTORY), names.pop(ORIENTATION, None)
+        elif [*names] == [ORIENTATION] and starts is None:
+            starts = names.pop(ORIENTATION)
+            alone = starts.where
         elif all(key[0] == "body" for key in names):
             axes.append(columns)
             continue
         for key, column in names.items():
-            right = "sweep flow.trajectory, with start.orientation beside it, and keys of body"
+            right = "sweep flow.trajectory, start.orientation beside it or alone, and keys of body"
             raise loaded.error(column.where, f"{'.'.join(map(str, key))} has no statistics", right)
-    if paths is None:
-        right = "an axis such as flow.trajectory: all"
-        raise loaded.error("sweep.axes", "vary no flow.trajectory", right)
+    if paths is not None and alone:
+        raise loaded.error(alone, "goes with the paths", "start.orientation beside flow.trajectory")
     bodies, swept = _bodies(loaded, axes)
     axis = None
     if starts is not None:
@@ -103,8 +106,8 @@ def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, AnyArray]]:
         axis = values if values.shape[1] == 3 else rotation.axis(rotation.normalize(values))
     elif "orientation" in case.start.given_keys:
         axis = rotation.axis(start_quaternion(case.start, bodies[0].shape))
-    series = _series(loaded, paths)
     with pointed(loaded):
+        series = _gradients(loaded, paths, starts, bodies)
         ensemble = Ensemble(
             bodies, series, axis, case.statistics, case.time.tolerance, case.brownian
         )
@@ -122,36 +125,51 @@ def _bodies(
     for place in np.ndindex(space.shape):
         data = space.assign(loaded.document.data, place)
         case = Case.read(data)
-        for name, given in (("forces", case.forces.given), ("constraints", case.constraints.given)):
-            if given:
-                raise loaded.error(name, "have no statistics", "leave them out")
-        stokes, settings = case.body.stokes_number, case.hydrodynamics
-        bodies.append(Body(shape=case.body.outline, stokes_number=stokes, hydrodynamics=settings))
+        given = {"forces": case.forces.given, "constraints": case.constraints.given}
+        given |= {name: bool(getattr(case, name).given_keys) for name in ("events", "compare")}
+        given |= {f"start.{name}": name != ORIENTATION[1] for name in case.start.given_keys}
+        for name in (name for name, there in given.items() if there):
+            raise loaded.error(name, "has no meaning with statistics", "leave it out")
+        bodies.append(body_of(replace(loaded, case=case)))
     return tuple(bodies), swept
 
 
-def _series(loaded: LoadedCase, paths: Column) -> GradientSeries:
-    """The gradients along the chosen paths, at the samples from 0 to the end of the motion."""
-    assert loaded.case.flow is not None
-    assert loaded.case.time is not None
+def _gradients(
+    loaded: LoadedCase, paths: Column | None, starts: Column | None, bodies: tuple[Body, ...]
+) -> GradientSeries | SharedGradient:
+    """The gradients along the chosen paths, or that of the case's flow for as many as start."""
+    time = loaded.case.time
+    assert time is not None
     try:
-        series = series_of_case(loaded.case.flow.spec(), loaded.path.parent)
-        chosen = paths.take(np.arange(paths.size))
-        if np.any(chosen != np.round(chosen)) or chosen.min() < 0 or chosen.max() >= len(series):
-            wrong = f"reach from {chosen.min():g} to {chosen.max():g}"
-            right = f"whole numbers from 0 to {len(series) - 1}"
-            raise loaded.error(paths.where, wrong, right)
-        series = series.chosen(chosen.astype(np.int64))
-        times, end = series.times, loaded.case.time.end
-        if end is None:
-            raise loaded.error("time", "gives no end", "time.end, up to the last sample")
-        if not times[0] <= 0.0 < end <= times[-1] * (1.0 + 1e-12):
-            wrong = f"is {end:g} and the series covers {times[0]:g} to {times[-1]:g}"
-            raise loaded.error("time.end", wrong, "an end within the series, which starts at 0")
-        last = int(np.searchsorted(times, end * (1.0 + 1e-12), "right"))
-        return series.part(slice(None), slice(int(np.searchsorted(times, 0.0)), last))
+        if paths is not None:
+            return _series(loaded, paths, time.end)
+        if starts is None:
+            right = "flow.trajectory: all, or start.orientation, all in one gradient"
+            raise loaded.error("sweep.axes", "vary no flow.trajectory", right)
+        accuracy = time.tolerance / float(slenderness(bodies).max())
+        return SharedGradient(loaded.flow, times_of(loaded), starts.size, accuracy)
     except FlowError as error:
         raise loaded.error(("flow", *error.key), str(error)) from None
+
+
+def _series(loaded: LoadedCase, paths: Column, end: float | None) -> GradientSeries:
+    """The gradients along the chosen paths, at the samples from 0 to the end of the motion."""
+    assert loaded.case.flow is not None
+    series = series_of_case(loaded.case.flow.spec(), loaded.path.parent)
+    chosen = paths.take(np.arange(paths.size))
+    if np.any(chosen != np.round(chosen)) or chosen.min() < 0 or chosen.max() >= len(series):
+        wrong = f"reach from {chosen.min():g} to {chosen.max():g}"
+        right = f"whole numbers from 0 to {len(series) - 1}"
+        raise loaded.error(paths.where, wrong, right)
+    series = series.chosen(chosen.astype(np.int64))
+    times = series.times
+    if end is None:
+        raise loaded.error("time", "gives no end", "time.end, up to the last sample")
+    if not times[0] <= 0.0 < end <= times[-1] * (1.0 + 1e-12):
+        wrong = f"is {end:g} and the series covers {times[0]:g} to {times[-1]:g}"
+        raise loaded.error("time.end", wrong, "an end within the series, which starts at 0")
+    last = int(np.searchsorted(times, end * (1.0 + 1e-12), "right"))
+    return series.part(slice(None), slice(int(np.searchsorted(times, 0.0)), last))
 
 
 # -- the work -------------------------------------------------------------------------------------
@@ -311,22 +329,25 @@ def arrays_of(found: Found) -> Iterator[tuple[str, AnyArray]]:
 
 def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
     """What will be done, and what it takes."""
-    intervals, bodies = len(ensemble.series.times) - 1, len(ensemble.bodies)
+    series, bodies = ensemble.series, len(ensemble.bodies)
+    lengths = np.diff(series.intervals[0])
+    intervals = len(lengths)
     cells = float(ensemble.paths * intervals)
     looks = ensemble.paths * len(ensemble.looks) * bodies * len(ensemble.names) / 3.0
-    read = cells * ensemble.series.samples.shape[-1] * ensemble.series.samples.dtype.itemsize
+    own = isinstance(series, GradientSeries)
+    read = cells * series.samples.shape[-1] * series.samples.dtype.itemsize * own
     inertial = sum(map(turns_with_inertia, ensemble.bodies))
-    parts = max(1.0, ensemble.rate * float(np.diff(ensemble.series.times).mean()) / _SHORT)
+    parts = max(1.0, ensemble.rate * float(lengths.mean()) / _SHORT)
     turning = (bodies - inertial) * _BODY + inertial * _INERTIAL * parts
     begin = time.perf_counter()
-    ensemble.series.read(0, min(_SAMPLED, ensemble.paths))
+    series.read(0, min(_SAMPLED, ensemble.paths))
     reading = (time.perf_counter() - begin) / min(_SAMPLED, ensemble.paths)
     work = cells * (_PATH + turning) + looks * _LOOK + reading * ensemble.paths
-    if ensemble.settings.sampling:  # half of the samples again, for a block
+    if ensemble.settings.sampling and own:  # half of the samples again, for a block
         work *= 1.0 + 1.5 / ensemble.blocks
     return {
         "paths": ensemble.paths,
-        "samples": intervals + 1,
+        "samples": len(series.times),
         "bodies": bodies,
         "looks": len(ensemble.looks),
         "bytes_read": read,
@@ -353,19 +374,20 @@ def plan_text(loaded: LoadedCase, ensemble: Ensemble, facts: dict[str, Any], ran
 
 
 def _text(loaded: LoadedCase, sections: Any) -> str:
-    title = f"Ensemble: {loaded.case.title or loaded.path.stem}"
-    return render(title, str(loaded.path), sections)
+    return render(f"Ensemble: {loaded.case.title or loaded.path.stem}", str(loaded.path), sections)
 
 
 def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
     """What was found, how fast, and where it is."""
-    bodies = counted(int(summary["bodies"]), "body", "bodies")
-    solved = [
-        ("paths", f"{summary['paths']}, {bodies} along each"),
-        ("trace", f"{summary['trace']:.2g} of the gradients' size was projected out"),
-    ]
-    sampling = summary["sampling"]
-    if sampling:
+    bodies, sampling = counted(int(summary["bodies"]), "body", "bodies"), summary["sampling"]
+    solved = [("paths", f"{summary['paths']}, {bodies} along each")]
+    if "gradient" in sampling:
+        text = f"as polynomials off by {sampling['gradient']:.2g} of its size"
+        solved.append(("gradient", f"{text}, in {sampling['intervals']} intervals"))
+    if summary["trace"]:
+        told = f"{summary['trace']:.2g} of the gradients' size was projected out"
+        solved.append(("trace", told))
+    if "axis_median" in sampling:
         text = f"{sampling['axis_median']:.2g} of the axis at the end (median), "
         text += f"{sampling['axis_90_percent']:.2g} for 9 of 10"
         solved.append(("left by samples", text))
@@ -374,6 +396,5 @@ def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
         told = ", ".join(f"{mean:.4g} +- {error:.1g}" for mean, error in pairs)
         solved.append(("viscosity", f"[eta] = {told}"))
     spent = f"{duration(summary['wall_time'])} on {counted(summary['ranks'], 'rank')}"
-    times = [("ensemble", spent)]
-    sections = {"Solved": solved, "Times": times, "Result": [("file", summary["result"])]}
-    return _text(loaded, sections)
+    ended = {"Times": [("ensemble", spent)], "Result": [("file", summary["result"])]}
+    return _text(loaded, {"Solved": solved, **ended})

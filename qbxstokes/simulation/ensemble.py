@@ -7,7 +7,7 @@ once, in tiles of time, for all bodies.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -18,23 +18,26 @@ from numpy.typing import ArrayLike
 from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.statistics import RATES, STRAINS, Statistics
 from qbxstokes.errors import ConvergenceError, SceneError
-from qbxstokes.flows.interpolation import INTERPOLATIONS, power_weights
+from qbxstokes.flows import Flow
+from qbxstokes.flows.interpolation import INTERPOLATIONS
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.motion.random_turns import MOST_VARIANCE, Turns
-from qbxstokes.simulation.arguments import section
+from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble_means import (
     Found,
+    Sums,
+    added,
     mean_stresses,
     rates_with_flow,
+    slenderness,
     standard_error,
     stress_columns,
 )
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import particle_of
-from qbxstokes.typing import AnyArray, Array, Integers
-
-Sums = dict[str, AnyArray]
+from qbxstokes.simulation.shared_gradient import SharedGradient, gradients_of
+from qbxstokes.typing import Array, Integers
 
 # Paths of a block, and instants of a tile of time.
 BLOCK, TILE = 256, 1024
@@ -45,14 +48,14 @@ _DECADES = -6.0, 3.0
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Bodies along all paths of a series, free of forces.
+    """Bodies along all paths of a series, or in one gradient A(t), free of forces.
 
     axes: None, at random for each path, or (3,) or (paths, 3) at the start, where bodies with
     inertia turn with the flow. tolerance: error accepted of each axis at the end.
     """
 
     bodies: tuple[Body, ...]
-    series: GradientSeries
+    series: GradientSeries | SharedGradient
     axes: Array | None = None
     settings: Statistics = field(default_factory=lambda: Statistics.read({}))
     tolerance: float = 1e-6
@@ -71,8 +74,7 @@ class Ensemble:
                 raise SceneError("body.stokes_number", f"is {body.stokes_number:g}", right)
         if not self.bodies:
             raise SceneError("bodies", "are none", "one body at least")
-        if not 0.0 < self.tolerance <= 0.1:
-            raise SceneError("tolerance", f"is {self.tolerance:g}", "more than 0, at most 0.1")
+        given.accepted(self.tolerance)
         if self.axes is not None and self.axes.shape not in ((3,), (self.paths, 3)):
             right = f"(3,), or ({self.paths}, 3), one for each path"
             raise SceneError("orientation", f"has shape {self.axes.shape}", right)
@@ -81,14 +83,14 @@ class Ensemble:
         if self.brownian is not None:
             self._check_brownian(self.brownian)
 
-    def _check_brownian(self, given: Brownian) -> None:
+    def _check_brownian(self, asked: Brownian) -> None:
         for name in ("translation", "step"):
-            if name in given.given_keys:
+            if name in asked.given_keys:
                 right = "leave it out: axes turn from sample to sample of the series"
                 raise SceneError(f"brownian.{name}", "has no meaning along paths", right)
-        most = MOST_VARIANCE / (2.0 * float(np.diff(self.series.times).max()))
-        if given.rotary_diffusivity > most:
-            wrong = f"is {given.rotary_diffusivity:g}"
+        most = MOST_VARIANCE / (2.0 * float(np.diff(self.series.intervals[0]).max()))
+        if asked.rotary_diffusivity > most:
+            wrong = f"is {asked.rotary_diffusivity:g}"
             right = f"at most {most:.3g} for samples so far apart"
             raise SceneError("brownian.rotary_diffusivity", wrong, right)
 
@@ -177,10 +179,8 @@ class Ensemble:
 
     @cached_property
     def rate(self) -> float:
-        """sqrt(2 <E:E>) over the first block at its first and last sample: the unit of bins."""
-        n, last = min(BLOCK, self.paths), len(self.series.times)
-        ends = [self.series.read(0, n, t, t + 1) for t in (0, last - 1)]
-        a = np.concatenate(ends).reshape(-1, 3, 3)
+        """sqrt(2 <E:E>) of gradients of the first block: the unit of bins."""
+        a = self.series.typical(min(BLOCK, self.paths)).reshape(-1, 3, 3)
         strain = 0.5 * (a + np.swapaxes(a, 1, 2))
         return float(np.sqrt(2.0 * np.mean(np.sum(strain * strain, axis=(1, 2))))) or 1.0
 
@@ -193,41 +193,39 @@ class Ensemble:
         """What is found on the paths of a block."""
         return self.follow(number)[0]
 
-    def follow(self, number: int, series: GradientSeries | None = None) -> tuple[Sums, Array]:
+    def follow(self, number: int, other: GradientSeries | None = None) -> tuple[Sums, Array]:
         """Sums over a block, and its axes at the end; of another series of the same paths."""
         from qbxstokes.motion import path_statistics
         from qbxstokes.motion.paths import follow_axes
 
-        series = series or self.series
+        series = self.series if other is None else other
         first, stop = number * BLOCK, min((number + 1) * BLOCK, self.paths)
         n, b, q = stop - first, len(self.bodies), len(self.names)
-        windows, weights = power_weights(series.times, series.interpolation)
-        lengths = np.diff(series.times)
-        looks = self.looks if series is self.series else np.empty(0, dtype=np.int64)
+        edges, windows, weights = series.intervals
+        lengths, count = np.diff(edges), weights.shape[2]
+        looks = self.looks if other is None else np.empty(0, dtype=np.int64)
         places = np.full(len(lengths), -1)
-        places[looks] = np.arange(len(looks))
+        places[np.searchsorted(edges, series.times[looks])] = np.arange(len(looks))
+        tile = max(1, TILE * len(edges) // int(windows[-1] + count))
         lags = np.full(self.lags[-1] + 1, -1)
         lags[self.lags] = np.arange(len(self.lags))
         bins, (low, high) = self.settings.bins, _DECADES
-        slenderness = np.maximum(
-            *(r := np.array([body.effective_ratio for body in self.bodies]), 1.0 / r)
-        )
-        span = float(series.times[-1] - series.times[0])
-        tolerances = self.tolerance / (slenderness * span)
+        span = float(edges[-1] - edges[0])
+        tolerances = self.tolerance / (slenderness(self.bodies) * span)
         axes = np.repeat(self.starts(first, stop)[:, None], b, axis=1)
-        keep = min(n, self.settings.keep) if number == 0 and series is self.series else 0
+        keep = min(n, self.settings.keep) if number == 0 and other is None else 0
         kept, instants = np.empty((keep, len(looks), b, 3)), np.empty((len(looks), b, q, 2))
         moments, rates = np.zeros((n, b, q, MOMENTS)), np.zeros((n, 2))
         counts = np.zeros((b, q, bins + 2), dtype=np.int64)
         origins, products = np.zeros((n, b, 3)), np.zeros((b, len(self.lags), 2))
         numbers = np.ascontiguousarray(self.laws[:, 6:]).reshape(-1, 4)
         stresses = np.zeros((n, b, 13 if len(numbers) else 0))
-        diffusivity = self.diffusivity if series is self.series else 0.0
+        diffusivity = self.diffusivity if other is None else 0.0
         seed = 0 if self.brownian is None else self.brownian.seed
-        for begin in range(0, len(lengths), TILE):
-            part = slice(begin, min(begin + TILE, len(lengths)))
+        for begin in range(0, len(lengths), tile):
+            part = slice(begin, min(begin + tile, len(lengths)))
             low_sample = int(windows[part][0])
-            end_sample = int(windows[part][-1]) + weights.shape[2]
+            end_sample = int(windows[part][-1]) + count
             samples = series.read(first, stop, low_sample, end_sample)
             if begin == 0:
                 spins = rates_with_flow(self.laws, samples[:, 0], axes)
@@ -236,7 +234,12 @@ class Ensemble:
             axes_seen = np.empty((keep, len(here), b, 3))
             follow_axes(
                 samples,
-                (windows[part] - low_sample, weights[part], lengths[part], span),
+                (
+                    windows[part] - low_sample,
+                    np.array(weights[part], order="C"),
+                    lengths[part],
+                    span,
+                ),
                 self.laws,
                 tolerances,
                 axes,
@@ -251,8 +254,8 @@ class Ensemble:
                 raise ConvergenceError(f"path {lost}: inertia, and too far a turn between samples")
             instants[here[here >= 0]] = seen[here >= 0]
             kept[:, here[here >= 0]] = axes_seen[:, here >= 0]
-        count = max(len(looks), 1)
-        means, rates = moments / count, rates / count
+        looked = max(len(looks), 1)
+        means, rates = moments / looked, rates / looked
         sums = {
             "paths": np.array([n]),
             "means": np.stack([means.sum(axis=0), (means**2).sum(axis=0)]),
@@ -263,7 +266,7 @@ class Ensemble:
             "products": products,
         }
         if len(numbers):
-            columns = stress_columns(stresses / count, numbers[:, 3])
+            columns = stress_columns(stresses / looked, numbers[:, 3])
             sums["stresses"] = np.stack([columns.sum(axis=0), (columns**2).sum(axis=0)])
             sums["power_with_strain"] = np.einsum("pb,p->b", columns[..., -1], rates[:, 0])
         return (sums | {"axes": kept} if keep else sums), axes
@@ -272,8 +275,10 @@ class Ensemble:
         """What the spacing of the samples leaves of the axes at the end, by the first block.
 
         From the same run on every other sample, whose error is 2^order times as large; where the
-        number of samples is even, up to the last but one of them.
+        number of samples is even, up to the last but one of them. Of one A(t): what it says itself.
         """
+        if isinstance(self.series, SharedGradient):
+            return self.series.sampling()
         times = self.series.times
         odd = len(times) - (len(times) + 1) % 2
         order = INTERPOLATIONS[self.series.interpolation]
@@ -303,10 +308,11 @@ class Ensemble:
         mixed = total["with_strain"][:, chosen] / paths
 
         # Of the ratio to <E:E>: the variance of what a path differs from the ratio's line.
-        ratio = first[..., 0] / strain if strain else np.full_like(mixed, np.nan)
+        ratio = first[..., 0] / (strain or np.nan)
         off = square[..., 0] - 2.0 * ratio * mixed + ratio**2 * strain_square
         looks, bins = len(self.looks), self.settings.bins
         seen = total["instants"][:, :, chosen] / paths
+        variance = seen[..., 1] - seen[..., 0] ** 2
         spacing = np.linspace(0.0, 1.0, bins + 1)
         decades = self.floor + spacing * (_DECADES[1] - _DECADES[0])
         edges = [10.0**decades if self.names[i] in RATES[:2] else spacing for i in chosen]
@@ -319,16 +325,12 @@ class Ensemble:
             moments=first,
             moments_error=standard_error(square - first**2, paths),
             over_strain=ratio,
-            over_strain_error=standard_error(off, paths) / strain
-            if strain
-            else np.full_like(mixed, np.nan),
+            over_strain_error=standard_error(off, paths) / (strain or np.nan),
             edges=np.array(edges),
             counts=total["counts"][:, chosen],
             time=self.series.times[self.looks],
             mean_in_time=np.moveaxis(seen[..., 0], 0, -1),
-            spread_in_time=np.sqrt(
-                np.maximum(np.moveaxis(seen[..., 1] - seen[..., 0] ** 2, 0, -1), 0.0)
-            ),
+            spread_in_time=np.moveaxis(np.sqrt(np.maximum(variance, 0.0)), 0, -1),
             lag=lag_times,
             correlation=correlation,
             axes=total.get("axes"),
@@ -351,50 +353,45 @@ def turns_with_inertia(body: Body) -> bool:
     return bool(np.any(body.stokes_number)) and body.inertia != "translation"
 
 
-def added(total: Sums, more: Sums) -> Sums:
-    """Sums and those of further paths."""
-    kept = {**total, **more}
-    return kept | {name: total[name] + more[name] for name in total.keys() & more.keys()}
-
-
 def ensemble(
     bodies: Body | Sequence[Body],
-    flow: GradientSeries,
+    flow: GradientSeries | Flow | Callable[[float], ArrayLike],
+    times: ArrayLike | None = None,
     *,
+    paths: int | None = None,
     orientation: ArrayLike | str = "isotropic",
     statistics: Mapping[str, Any] | None = None,
     brownian: Mapping[str, Any] | None = None,
     tolerance: float = 1e-6,
 ) -> Found:
-    """Statistics of bodies along the paths of a series of velocity gradients.
+    """Statistics of bodies along the paths of a series of velocity gradients, or in one gradient.
 
     bodies: one, or several that are independent of each other. flow: gradients along paths (paths,
-    T, 3, 3), in memory or in a file (`qs.GradientSeries`). orientation: "isotropic", at random for
-    each path, or axes (3,) or (paths, 3). statistics, brownian: keys of these sections of a case;
-    Brownian axes turn at random half before and half after each interval of the series, which is
-    of second order in it. tolerance:
-    error accepted of each axis at the end, for the interpolant; summary["sampling"] says what the
-    samples leave. Memory does not grow with the number of paths.
+    T, 3, 3), in memory or in a file (`qs.GradientSeries`), or one for all, a linear flow or a
+    function A(t): axes are then looked at from each of `times` (T,) to the last, and `paths` start
+    at random (1000). orientation: "isotropic", at random, or axes (3,) or (paths, 3) at time 0.
+    statistics, brownian: keys of these sections of a case; Brownian axes turn at random half before
+    and half after each interval of the series, which is of second order in it. tolerance: error
+    accepted of each axis at the end, for the interpolant; summary["sampling"] says what the samples
+    leave, or by how much a sampled A(t) is off. Memory does not grow with the number of paths.
 
     >>> import numpy as np, qbxstokes as qs
-    >>> gradients = np.zeros((64, 101, 3, 3))
-    >>> gradients[..., 0, 1] = 1.0
-    >>> shear = qs.GradientSeries(np.linspace(0.0, 10.0, 101), gradients)
-    >>> found = qs.ensemble(qs.Body(0.5), shear, orientation=[0, 0, 1])
+    >>> shear, times = qs.flow("shear"), np.linspace(0.0, 10.0, 101)
+    >>> found = qs.ensemble(qs.Body(0.5), shear, times, orientation=[0, 0, 1])
     >>> found.mean("spinning")[0]  # log-rolling: half of the vorticity
     array([0.25])
     """
     several = tuple(bodies) if isinstance(bodies, Sequence) else (bodies,)
-    if not isinstance(flow, GradientSeries):
-        raise SceneError("flow", f"is {type(flow).__name__}", "a qs.GradientSeries of many paths")
     axes = None
-    if isinstance(orientation, str):
-        if orientation != "isotropic":
-            raise SceneError("orientation", f"is {orientation!r}", "isotropic, or axes (..., 3)")
-    else:
-        axes = np.asarray(orientation, dtype=np.float64)
-    settings = section("statistics", Statistics, statistics)
-    random = None if brownian is None else section("brownian", Brownian, brownian)
-    found = Ensemble(several, flow, axes, settings, tolerance, random)
+    if not isinstance(orientation, str):
+        axes = given.turned(orientation)
+    elif orientation != "isotropic":
+        raise SceneError("orientation", f"is {orientation!r}", "isotropic, or axes (..., 3)")
+    settings = given.section("statistics", Statistics, statistics)
+    random = None if brownian is None else given.section("brownian", Brownian, brownian)
+    tolerance = given.accepted(tolerance)
+    accuracy = tolerance / slenderness(several).max(initial=1.0)
+    series = gradients_of(flow, times, paths, axes, accuracy)
+    found = Ensemble(several, series, axes, settings, tolerance, random)
     sampling = found.sampling() if settings.sampling else {}
     return found.result((found.block(number) for number in range(found.blocks)), sampling)

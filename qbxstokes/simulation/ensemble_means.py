@@ -1,14 +1,17 @@
 """What is found of bodies along many paths: rates at first, means over paths and time at last."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from qbxstokes.geometry.symmetric import components, symmetric
+from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.showing import shown
-from qbxstokes.typing import Array, Integers
+from qbxstokes.typing import AnyArray, Array, Integers
+
+Sums = dict[str, AnyArray]
 
 # Tensors that the statistics of stresses tell, in the order of their columns.
 STRESSES = "particle_stress", "hydrodynamic_stress", "brownian_stress", "order_tensor"
@@ -87,6 +90,18 @@ def rates_with_flow(laws: Array, gradients: Array, axes: Array) -> Array:
     rates -= np.sum(rates * axes, axis=-1, keepdims=True) * axes
     curl = np.stack([a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
     return np.concatenate([rates, 0.5 * np.sum(curl * axes, axis=-1, keepdims=True)], axis=-1)
+
+
+def slenderness(bodies: Sequence[Body]) -> Array:
+    """k or 1/k of each body, (B,): by so much errors of what turns it may grow."""
+    ratios = np.array([body.effective_ratio for body in bodies])
+    return np.maximum(ratios, 1.0 / ratios)
+
+
+def added(total: Sums, more: Sums) -> Sums:
+    """Sums and those of further paths."""
+    kept = {**total, **more}
+    return kept | {name: total[name] + more[name] for name in total.keys() & more.keys()}
 
 
 def standard_error(variance: Array, paths: int) -> Array:
