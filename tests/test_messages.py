@@ -118,7 +118,7 @@ def test_what_a_sweep_does_not_know_is_told(
     axes = {"axes": [{"body.aspect_ratio": [0.5, 2]}]}
     path = write_case({**CASE, "time": {"end": 1.0, "samples": 11}, "sweep": axes})
     done = run_cli(path.name)
-    told = "period, rotation_rate: not known of 2 of 2 trajectories: fewer than one whole half-turn"
+    told = "period, rotation_rate: not known of 2 of 2 trajectories: no whole half-turn of the axis"
     assert done.returncode == 0
     assert f"qbxstokes: {told}" in done.stderr
     shown = run_cli("info", "case.h5").stdout

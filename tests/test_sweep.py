@@ -373,6 +373,20 @@ def test_windows_and_turns_of_averages() -> None:
     assert np.isinf(averages["orbit_constant_end"][2])
 
 
+def test_turns_that_samples_miss_are_not_counted() -> None:
+    """Samples 0.7 periods apart look like turns the other way."""
+    period = jeffery.period(0.5)
+    start = np.array([0.6, 0.0, 0.8])
+    for spacing, known in ((0.7, False), (1.0, False), (0.3, True)):
+        times = spacing * period * np.arange(15.0)
+        axis = jeffery.axis_at(times, 0.5, start)[:, None]
+        spin = np.array([0, 0, -0.5]) + 0.6 * np.cross(axis, axis @ (0.5 * (SHEAR + SHEAR.T)))
+        samples = {"axis": axis, "angular_velocity": spin, "position": axis, "velocity": axis}
+        found = turn_averages(times, samples, 0.5, ShearFrame.of(SHEAR))
+        expected = period if known else np.nan
+        np.testing.assert_allclose(found["period"], expected, rtol=1e-8)
+
+
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_a_turn_that_ends_with_the_last_sample_counts(turns: int) -> None:
     times = np.linspace(0.0, turns * jeffery.period(0.5), 81)

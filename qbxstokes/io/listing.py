@@ -136,15 +136,18 @@ def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
     return found
 
 
-_FEW = "fewer than {} half-turns of the axis; a longer time.end or a smaller sweep.discard"
+_FEW = (
+    "{} of the axis (a longer time.end, a smaller sweep.discard), or samples too far apart to "
+    "count them (more time.samples)"
+)
 _SHEAR = "the flow at the start is no simple shear"
 # Why a column of a table is not known of a trajectory that was done.
 _WHY = {
-    "period": _FEW.format("one whole"),
-    "rotation_rate": _FEW.format("one whole"),
-    "period_change": _FEW.format("two whole"),
-    "velocity_change": _FEW.format("two whole"),
-    "orbit_drift": f"no whole half-turn, a tumbling axis, or {_SHEAR}",
+    "period": _FEW.format("no whole half-turn"),
+    "rotation_rate": _FEW.format("no whole half-turn"),
+    "period_change": _FEW.format("fewer than two half-turns"),
+    "velocity_change": _FEW.format("fewer than two half-turns"),
+    "orbit_drift": f"no half-turn that the samples tell, a tumbling axis, or {_SHEAR}",
     "orbit_constant": _SHEAR,
     "jeffery_period": "the flow at the start turns no axis",
 }

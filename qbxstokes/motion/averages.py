@@ -93,6 +93,7 @@ def turn_averages(
     angle = np.unwrap(raw, axis=0)
     steps = np.abs(np.diff(angle, axis=0)).max(axis=0, initial=0.0)
     known = (square.min(axis=0) > 1e-16) & (steps < _LARGEST_TURN) & np.isfinite(slope).all(axis=0)
+    known &= _followed(t, angle, slope, d, rate)
     turned = np.where(known, angle[-1] - angle[0], 0.0)
     half_turns = np.floor(np.abs(turned) / np.pi + 1e-9)
     some = half_turns >= 1
@@ -156,6 +157,23 @@ def turn_averages(
     drifts = some & np.isfinite(drift) & frame.simple
     result["orbit_drift"] = np.where(drifts, drift, np.nan)
     return result
+
+
+def _followed(t: Array, angle: Array, slope: Array, d: Array, rate: Array) -> Array:
+    """Whether the samples follow the turns of every body, (n,): between them its rate agrees.
+
+    The stretched angle of a light body turns steadily, the angle in the plane that of a heavy one.
+    """
+    step = np.diff(t)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plain = d[..., 0] * rate[..., 1] - d[..., 1] * rate[..., 0]
+        plain /= d[..., 0] ** 2 + d[..., 1] ** 2
+    turned = np.unwrap(np.arctan2(d[..., 1], d[..., 0]), axis=0)
+    off = [
+        np.abs(np.diff(angles, axis=0) - 0.5 * step * (rates[1:] + rates[:-1]))
+        for angles, rates in ((angle, slope), (turned, plain))
+    ]
+    return np.asarray(np.all(np.fmin(*off) < 0.5 * np.pi, axis=0))
 
 
 def _hermite(t: Array, values: Array, rates: Array, interval: Indices, s: Array) -> Array:
