@@ -6,6 +6,7 @@ import ast
 import inspect
 import operator
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from conftest import random_flow, script
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qbxstokes.flows import build_flow
 from qbxstokes.flows.named import Paraboloid, Shear, Uniform
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
@@ -141,3 +143,20 @@ def test_zeros_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         for k in (0.5, 1.0)
     )
     assert sphere < 0.5 * slender
+
+
+def test_flows_that_change_alike_share_what_is_written() -> None:
+    """Their numbers are handed over: another series needs no other function, other rows do."""
+    y, written = np.array([0.1, -0.2, 0.3, 0.8, 0.2, -0.4, 0.1])[:, None], []
+    linear = np.array([[0.0, 1.0, 0.2], [0.0, 0.5, 0.0], [0.3, 0.0, -0.5]])
+    for key, value in (("gradient", linear), ("gradient", -0.4 * linear), ("rate", 1.0)):
+        rates = np.zeros((2, *y.shape))
+        both = np.array(value).tolist(), partial(lambda value, t: value, value)
+        for numbers, found in zip(both, rates, strict=True):
+            flow = build_flow({"type": "linear" if key == "gradient" else "shear", key: numbers})
+            equations = RigidBodyEquations(exact_model(Spheroid(0.5)), flow)
+            equations.rates(0.3, y, found)
+        np.testing.assert_allclose(rates[0], rates[1], rtol=1e-15, atol=1e-16)
+        written.append(inspect.getclosurevars(equations.rate_of_rows).nonlocals["kernel"])
+    assert written[0] is written[1]
+    assert written[0] is not written[2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,11 @@ def power_weights(times: Array, interpolation: str) -> tuple[Integers, Array]:
     nodes = times[first[:, None] + np.arange(count)]
     s = (nodes - times[:-1, None]) / np.diff(times)[:, None]
     return first, np.linalg.inv(s[:, :, None] ** np.arange(count))
+
+
+@lru_cache(maxsize=16)  # many series of one run have the same instants
+def _kept_weights(times: bytes, interpolation: str) -> tuple[Integers, Array]:
+    return power_weights(np.frombuffer(times), interpolation)
 
 
 class Series:
@@ -210,4 +215,4 @@ class Series:
 
     @cached_property
     def _weights(self) -> tuple[Integers, Array]:
-        return power_weights(self.times, self.interpolation)
+        return _kept_weights(self.times.tobytes(), self.interpolation)

@@ -39,9 +39,10 @@ class CentredEquations:
         return states[:, self._active]
 
     def completed(self, part: Array) -> Array:
-        """The whole states to which a part belongs, as a copy."""
-        states = self._states.copy()
-        states[:, self._active] = part
+        """The whole states to which a part (..., n_lanes, n_state) belongs, as a copy."""
+        states = np.empty((*part.shape[:-1], self._whole.n_state))
+        states[:] = self._states
+        states[..., self._active] = part
         return states
 
     def rate_function(self, evaluations: float = 0.0) -> Function:

@@ -329,9 +329,11 @@ class RigidBodyEquations(Pieces):
             key = None
             if not several:  # the constants, of which scenes that are alike have the same
                 unread = self.free_of_torque  # NaN, which equals nothing
-                made = bodies.kernels.__name__, self._flow, bodies.law, bodies.gyration
+                flow = self._flow_of([0.0] * n_changing) if n_changing else self._flow
+                places = tuple(self.changing.rows.tolist()) if self.changing is not None else ()
+                made = bodies.kernels.__name__, flow, places, bodies.law, bodies.gyration
                 more = None if unread else (bodies.mobility, tuple(rates), self._follow)
-                key = *made, more, None if loads is None else tuple(loads), handed, n_changing
+                key = *made, more, None if loads is None else tuple(loads), handed
             kernel = specialise(equations, self.n_state, after_loads + n_rates + n_changing, key)
             if not (handed or n_rates or n_changing):
                 return kernel

@@ -66,6 +66,14 @@ class Layout:
         lanes = values.reshape(self.lanes, self.bodies, self.n_state)
         return lanes.transpose(2, 1, 0).reshape(self.n_state, self.columns)
 
+    def states(self, values: Array, by_lane: bool) -> Array:
+        """States (..., columns, n_state) of flat vectors (..., size), as a view where it may be."""
+        lead = values.shape[:-1]
+        if not by_lane:
+            return values.reshape(*lead, self.n_state, self.columns).swapaxes(-1, -2)
+        lanes = values.reshape(*lead, self.lanes, self.bodies, self.n_state)
+        return lanes.swapaxes(-3, -2).reshape(*lead, self.columns, self.n_state)
+
     def flat_by_lane(self, states: Array) -> Array:
         """The flat vector by lane of states (columns, n_state)."""
         return states.reshape(self.bodies, self.lanes, self.n_state).swapaxes(0, 1).ravel()

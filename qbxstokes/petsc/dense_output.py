@@ -28,7 +28,7 @@ class Inside:
 
     def __init__(self, system: System, ts: Any, vector: Any) -> None:
         self._system, self._ts, self._vector = system, ts, vector
-        self.scratch = vector.duplicate()
+        self.scratch, self._slope = vector.duplicate(), vector.duplicate()
         self._sampler: Any = None
         self._polynomial: tuple[float, Array] | None = None
 
@@ -69,13 +69,12 @@ class Inside:
             self._polynomial = before, self._nodes(before, start, after)
         weights = _hermite((t - before) / (after - before), after - before)
         terms = (weights[:, k, None] * node for k, node in enumerate(self._polynomial[1]))
-        return [self._system.states(values) for values in sum(terms)]
+        return list(self._system.states(sum(terms)))
 
     def _nodes(self, before: float, start: Array, after: float) -> Array:
         """States at the ends and the thirds of a step, then the rates there, (8, n)."""
-        states, rates = [], []
-        slope = self.scratch.duplicate()
-        for node in THIRDS:
+        states, rates, slope = [], [], self._slope
+        for node in THIRDS.tolist():
             t = before + node * (after - before)
             if node in (0.0, 1.0):
                 self.scratch.setArray(start if node == 0.0 else self._vector.getArray(readonly=1))
@@ -116,7 +115,8 @@ class Inside:
 
 
 THIRDS = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-_APART = THIRDS[:, None] - THIRDS + np.eye(4)
+_OWN = np.eye(4, dtype=bool)
+_APART = THIRDS[:, None] - THIRDS + _OWN
 _SLOPES = np.sum(1.0 / _APART, axis=1) - 1.0  # of each Lagrange polynomial at its own node
 
 
@@ -127,6 +127,6 @@ def _hermite(places: Array, step: float) -> Array:
     polynomials l_i (Abramowitz and Stegun 1964, eq. 25.2.5 for l_i).
     """
     away = places[:, None] - THIRDS
-    factors = np.where(np.eye(4, dtype=bool), 1.0, away[:, None, :]) / _APART
-    squares = np.prod(factors, axis=2) ** 2
+    factors = np.where(_OWN, 1.0, away[:, None, :]) / _APART
+    squares = np.multiply.reduce(factors, axis=2) ** 2
     return np.concatenate([(1.0 - 2.0 * away * _SLOPES) * squares, step * away * squares], axis=1)

@@ -380,8 +380,8 @@ class System:
         return self.states(vector.getArray(readonly=1))
 
     def states(self, values: Array) -> Array:
-        """Whole states (columns, n_state) of a vector's values, as a copy."""
-        return self._moving.completed(self._componentwise(values).T)
+        """Whole states (..., columns, n_state) of a vector's values (..., size), as a copy."""
+        return self._moving.completed(self.layout.states(values, self._by_lane))
 
     def first_step(self) -> float:
         """A step over which nothing moves by more than a tenth of its scale."""
