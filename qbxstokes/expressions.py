@@ -3,6 +3,7 @@
 import ast
 import math
 import operator
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -68,5 +69,8 @@ def expression_in_time(text: str, names: Mapping[str, Any] = _IN_TIME) -> Callab
         known = {"__builtins__": {}, "pow": math.pow, **FUNCTIONS, **names}
         found: Callable[[float], float] = eval(code, known)
     except (SyntaxError, ArithmeticError, RecursionError, MemoryError) as error:
-        raise ValueError(f"it is not an expression ({getattr(error, 'msg', error)})") from None
+        wrong = f"it is not an expression ({getattr(error, 'msg', error)})"
+        if re.match(r"\s*[-+.\d]\S*\s+[A-Za-zµ1]", text):
+            wrong += "; numbers with units need the section `units` (`help units`)"
+        raise ValueError(wrong) from None
     return found

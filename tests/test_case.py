@@ -240,6 +240,9 @@ def test_overrides(write_case: WriteCase) -> None:
     loaded = load_case(path, ["start.position=[1, 2, 3]", "start.position[1]=7"])
     assert loaded.case.start.position == (1.0, 7.0, 3.0)
     assert load_case(path, ["start.position[1]=7"]).case.start.position == (0.0, 7.0, 0.0)
+    loaded = load_case(path, ["time.at=[0, 1]", "body.length_over_diameter=4"])  # and no others
+    assert loaded.case.time.at == (0.0, 1.0)
+    assert loaded.case.body.aspect_ratio is None
 
 
 @pytest.mark.parametrize(
@@ -253,6 +256,8 @@ def test_overrides(write_case: WriteCase) -> None:
         ("start.position[7]=1", "start.position is a list of 3 entries"),
         ("start.orientation.axis[x]=1", "start.orientation"),
         ("body=[", "not valid YAML"),
+        ("time={end:3}", "end:3: has no value; put a space after the colon"),
+        ("flow.rate=2 1/s", "numbers with units need the section `units`"),
     ],
 )
 def test_bad_overrides(override: str, expected: str, write_case: WriteCase) -> None:

@@ -32,6 +32,12 @@ _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _NOT_FINITE = re.compile(r"(?i)([-+]?\.inf|\.nan)\Z")
 ORIENTATION: Key = ("start", "orientation")
+# Keys of a section that say one thing: `--set` of one replaces the others.
+_ALTERNATIVES = (
+    ("end", "periods", "at"),
+    ("at", "samples"),
+    ("aspect_ratio", "length_over_diameter", "shape"),
+)
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONSTANTS = {"true": True, "True": True, "TRUE": True}
 _CONSTANTS |= {"false": False, "False": False, "FALSE": False}
@@ -61,10 +67,11 @@ def parse_key(text: str) -> Key:
     return tuple(int(part) if re.fullmatch("[0-9]{1,9}", part) else part for part in parts)
 
 
-def assigned(data: Any, key: Key, value: Any, path: Key = ()) -> Any:
+def assigned(data: Any, key: Key, value: Any, path: Key = (), *, replacing: bool = False) -> Any:
     """A copy of nested plain data with `key` set; what is not on the way is shared.
 
-    path: of the data, for messages. Raises Problem where the key leads nowhere.
+    path: of the data, for messages. replacing: the alternatives of `key`. Raises Problem where the
+    key leads nowhere.
     """
     if not key:
         return value
@@ -78,7 +85,8 @@ def assigned(data: Any, key: Key, value: Any, path: Key = ()) -> Any:
         if not isinstance(part, int) or part >= len(data):
             right = f"use an index from 0 to {len(data) - 1}"
             raise Problem(f"is a list of {len(data)} entries", right, path)
-        return [*data[:part], assigned(data[part], rest, value, below), *data[part + 1 :]]
+        entry = assigned(data[part], rest, value, below, replacing=replacing)
+        return [*data[:part], entry, *data[part + 1 :]]
     if not isinstance(data, dict | None):
         raise Problem("is not a section", "set it as a whole", path)
     copied, part = dict(data or {}), str(part)
@@ -86,7 +94,10 @@ def assigned(data: Any, key: Key, value: Any, path: Key = ()) -> Any:
     if part == ORIENTATION[-1] and rest and isinstance(inner, dict):
         # The forms of an orientation exclude each other: the swept one replaces the case's.
         inner = {form: entry for form, entry in inner.items() if form == rest[0]}
-    copied[part] = assigned(inner, rest, value, below)
+    if replacing and not rest and value is not None:
+        others = {name for names in _ALTERNATIVES if part in names for name in names} - {part}
+        copied = {name: entry for name, entry in copied.items() if name not in others}
+    copied[part] = assigned(inner, rest, value, below, replacing=replacing)
     return copied
 
 
@@ -134,7 +145,7 @@ class Document:
             right = "write --set section.key=value, for example --set body.aspect_ratio=0.2"
             raise CaseError(f"{origin}: not an assignment; {right}")
         try:
-            self.data = assigned(self.data, key, _read(text, origin)[0])
+            self.data = assigned(self.data, key, _read(text, origin)[0], replacing=True)
         except Problem as problem:
             raise CaseError(f"{origin}: {key_text(problem.key)} {problem}") from None
         self.overrides[key] = assignment
@@ -194,6 +205,8 @@ def _read(text: str, name: str) -> tuple[Any, dict[Key, int]]:
         problem = printable(str(error.problem or error.context or error), 160)
         if any("\t" in there for there in text.splitlines()[line - 1 : line]):
             problem += "; indent with spaces, not with tabs"
+        elif "unexpected ':'" in problem:
+            problem += "; put a space after the colon"
         raise CaseError(f"{name}:{line}: is not valid YAML: {problem}") from None
     except yaml.YAMLError as error:
         problem = printable(" ".join(str(error).split()), 160)
@@ -248,6 +261,8 @@ def _plain(node: Any, key: Key, lines: dict[Key, int], name: str) -> Any:
             wrong = "a key must be a single word, not a list or a mapping"
         elif word.value in data:
             wrong = f"{printable(word.value, 60)}: given twice; it is already on line {lines[path]}"
+        elif ":" in word.value and isinstance(inner, yaml.ScalarNode) and not inner.value:
+            wrong = f"{printable(word.value, 60)}: has no value; put a space after the colon"
         _refuse(word, name, wrong, 0, 0)
         lines[path] = _line(word)
         data[word.value] = _plain(inner, path, lines, name)

@@ -58,7 +58,7 @@ def functions_figure(result: ResultLike) -> Figure:
                     axes.fill_between(times, own - around, own + around, **shade)
         heading = RHEOLOGY[name].heading
         style.set_ylabel(axes, f"${RHEOLOGY[name].symbol}$" if len(names) > 1 else heading)
-    if times is not None and len(numbers) > 1:
+    if len(numbers) > 1 and (times is not None or np.isinf(numbers).any()):
         style.legend_above(panels[0], columns=min(3, len(numbers)))
     panels[-1].set_xlabel(
         RHEOLOGY["peclet_number"].heading if times is None else f"time ${STRAIN_TIME.symbol}$"
@@ -74,7 +74,8 @@ def _over_peclet(axes: Axes, numbers: Array, values: Array) -> None:
     if len(finite):
         axes.semilogx(numbers[finite], values[finite], **style.line_style(0, markers=True))
     for index in order[len(finite) :].tolist():
-        axes.axhline(values[index], color=style.GREY, linestyle=(0, (4, 2)))
+        line = {"color": style.GREY, "linestyle": (0, (4, 2))}
+        axes.axhline(values[index], label=_peclet(numbers[index]), **line)
 
 
 def lissajous_figure(result: ResultLike) -> Figure:
