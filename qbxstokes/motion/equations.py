@@ -54,6 +54,9 @@ COMPILED_EVALUATIONS_OF_FEW = 1_000
 # Squares of max(k, 1/k) from which, steps below which and lanes up to which the growth of errors is
 # followed; relaxations in a strain time of bodies that follow the flow.
 _SLENDER, _MOST, _FEW, _LIGHT = 50.0, 600, 16, 20.0
+_ANYWHERE = np.array(
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]]
+)
 
 
 class RigidBodyEquations(Pieces):
@@ -187,7 +190,7 @@ class RigidBodyEquations(Pieces):
         slenderness = np.maximum(self.effective_ratio, 1.0 / self.effective_ratio)
         span = self.mean_rate(t, y, horizon) * horizon
         grown = slenderness * slenderness
-        if np.max(grown) > _SLENDER and self._axes_alone(t, y):
+        if np.max(grown) > _SLENDER and self._axes_alone(y):
             with suppress(FlowError):  # told when the run comes to it
                 grown = np.minimum(grown, self._growth(t, y, horizon, float(np.max(span))))
         found = float(np.max(grown * np.maximum(1.0, span / (2.0 * np.pi * slenderness))))
@@ -202,15 +205,20 @@ class RigidBodyEquations(Pieces):
         steps = math.ceil(max(60.0, seen, 4.0 * span))
         gradients = self._gradients(y, t + horizon * (np.arange(steps) + 0.5) / steps)
         (rest, linear), *_ = self.bodies.law
-        axes = rotation.axis(rotation.normalize(y[:, ORIENTATION]))
-        return growth(gradients, (linear, rest), axes, horizon / steps)
+        axes, law = rotation.axis(rotation.normalize(y[:, ORIENTATION])), [linear, rest]
+        if self.massless or np.all(self.relaxation_rates[2:] > _LIGHT * self.time_rate(t, y)):
+            return growth(gradients, law, axes, horizon / steps)
+        # Where it lags behind the flow the axis may come anywhere.
+        count, n = 1 + len(_ANYWHERE), self.n_lanes
+        axes = np.concatenate([axes, np.repeat(_ANYWHERE, n, axis=0)])
+        law = [np.tile(np.broadcast_to(number, n), count) for number in law]
+        found = growth(np.tile(gradients, (1, count, 1, 1)), law, axes, horizon / steps)
+        return found.reshape(count, n).max(axis=0)
 
-    def _axes_alone(self, t: float, y: Array) -> bool:
-        """Whether few axes alone turn in linear flows that change, without a lag to speak of."""
-        if self.changing is None or self._degree > 1 or self.n_lanes > _FEW:
-            return False
-        light = self.massless or np.all(self.relaxation_rates[2:] > _LIGHT * self.time_rate(t, y))
-        return bool(light) and self._loads is None and self._follow is None and self.at_rest(y)
+    def _axes_alone(self, y: Array) -> bool:
+        """Whether few axes alone turn in linear flows that change."""
+        few = self.changing is not None and self._degree <= 1 and self.n_lanes <= _FEW
+        return few and self._loads is None and self._follow is None and self.at_rest(y)
 
     def integrated(self, states: Array) -> Array:
         """The part of states (n_lanes, n_state) that is integrated: all."""

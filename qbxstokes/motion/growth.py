@@ -4,6 +4,8 @@ The axis p of a body without inertia is q/|q| of q' = L q (`paths`). What a smal
 to later is the same matrices' work on vectors across p, divided by the growth of q.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from qbxstokes.typing import Array
@@ -12,7 +14,7 @@ from qbxstokes.typing import Array
 _STARTS, _SURE = 12, 4.0
 
 
-def growth(gradients: Array, law: tuple[Array, Array], axes: Array, step: float) -> Array:
+def growth(gradients: Array, law: Sequence[Array], axes: Array, step: float) -> Array:
     """How many times errors of axes (n, 3) may grow from any instant to a later one, (n,).
 
     In steps of a fifth, so that rounding has no say in it.

@@ -106,3 +106,26 @@ def test_flows_of_a_users_function_keep_their_tolerance(see: See) -> None:
         error = max(float(error), float(np.abs(motion.axis[-1] - true.axis[-1]).max()))
         where = f"k = {k:.3g}, scale {scale:.3g}, tolerance {tolerance:.0e}"
         see(error / tolerance, 10.0, f"{where}, {motion.summary['method']}")
+
+
+@pytest.mark.slow
+def test_steps_are_as_long_as_the_tolerance_allows(see: See) -> None:
+    """Where the step is not the longest one, a thousandth of the tolerance is used at least.
+
+    Of the axis or, with inertia, of the rates, which are to be known to it as well: those of stiff
+    bodies hold the steps, while drag makes little of their errors in the axis.
+    """
+    times = np.linspace(0.0, END, 41)
+    for seed in range(0, RUNS, 4):
+        body, axis, flow, _, tolerance = scene(seed)
+        one, exact = (
+            body.integrate(flow, times, orientation=axis, tolerance=asked)
+            for asked in (tolerance, max(tolerance / 3000.0, 2e-13))
+        )
+        if one.steps <= 55:
+            continue
+        rate = np.linalg.norm(flow.gradient(np.zeros(3)))
+        off = np.abs(one.axis - exact.axis).max()
+        if body.stokes_number:
+            off = max(off, np.abs(one.angular_velocity - exact.angular_velocity).max() / rate)
+        see(1e-3 * tolerance / off, 1.0, f"a thousandth over the error, seed {seed}")
