@@ -259,7 +259,7 @@ correlation | \langle p(0)\cdot p(\tau)\rangle | 1 | correlation of the axis, by
 axis | p | 1 | axes of the first paths, by path, instant and body | vector || path sample body
 """)
 _STATISTICS = {
-    "moments": ("means of powers 1 to 4, by body", "body power"),
+    "moments": ("means of powers 1 to 4, in these powers of the unit, by body", "body power"),
     "moments_error": ("standard errors of these means over paths, by body", "body power"),
     "over_strain": ("mean over <E:E> = epsilon/(2 nu), by body", "body"),
     "over_strain_error": ("standard error of that ratio, by body", "body"),
@@ -277,7 +277,8 @@ def of_ensemble(name: str) -> Quantity:
         if part != name and part in _STATISTICS:
             of_it, lead = _STATISTICS[part]
             told = f"{looked.description}: {of_it}"
-            return Quantity(name, looked.symbol, looked.units, told, lead=tuple(lead.split()))
+            units = "1" if part == "counts" or part.startswith("over_strain") else looked.units
+            return Quantity(name, looked.symbol, units, told, lead=tuple(lead.split()))
     if (known := RHEOLOGY.get(name)) is not None:
         stress = name.removesuffix("_standard_error").endswith("stress")
         told = known.description.replace(", mu and rate", " and mu")

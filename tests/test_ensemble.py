@@ -363,6 +363,24 @@ def test_a_case_is_the_same_ensemble() -> None:
     assert found.task == "ensemble"
 
 
+@pytest.mark.parametrize("unit", [0.012, 0.13])  # the last instant is 1e-7 more, or less
+def test_the_last_of_instants_in_single_precision_counts(unit: float, tmp_path: Path) -> None:
+    times = (0.2 * unit * np.arange(500)).astype(np.float32)
+    values = np.zeros((500, 2, 3, 3), dtype=np.float32)
+    values[..., 0, 1] = 1.0 / unit
+    np.save(tmp_path / "t.npy", times)
+    np.save(tmp_path / "a.npy", values)
+    names = {"file": str(tmp_path / "a.npy"), "time": str(tmp_path / "t.npy"), "unit": unit}
+    gradient = {**names, "layout": ["time", "trajectory"]}
+    ends = {"time": {"end": 99.8, "tolerance": 1e-6}, "statistics": {"quantities": ["tumbling"]}}
+    found = qs.run({**CASE, **ends, "flow": {"type": "linear", "gradient": gradient}})
+    assert len(found.time) == 499
+    assert "cos_vorticity_over_strain" not in found.names
+    times = qs.GradientSeries.from_file(**gradient).path(0)
+    turned = qs.Body(0.2).integrate(qs.flow("linear", gradient=times), [99.8], tolerance=1e-6)
+    assert turned.time[-1] == 99.8
+
+
 def test_axes_of_a_table_start_beside_their_paths() -> None:
     axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]
     together = [{"flow.trajectory": [5, 2, 600], "start.orientation": axes}]

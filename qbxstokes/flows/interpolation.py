@@ -130,12 +130,17 @@ class Series:
         rules = {"interpolation": self.interpolation, "outside": self.outside}
         return Series(self.times[::2], self._rows[0, ::2], **rules)
 
+    @property
+    def _slack(self) -> float:
+        """By how much the first and the last instant may be off in single precision."""
+        return 2.0**-22 * max(abs(float(self.times[0])), abs(float(self.times[-1])))
+
     def inside(self, t: float) -> float:
         """The instant of the samples that stands for t; raises FlowError beyond them."""
         first, last = float(self.times[0]), float(self.times[-1])
         if first <= t <= last:
             return t
-        if self.outside == "clamp":
+        if self.outside == "clamp" or first - self._slack <= t <= last + self._slack:
             return min(max(t, first), last)
         if self.outside == "repeat":
             return first + (t - first) % (last - first)
@@ -147,7 +152,7 @@ class Series:
 
     def knows(self, t: Array) -> int:
         """How many of increasing instants it has values at, from the first on."""
-        beyond = (t < self.times[0]) | (t > self.times[-1])
+        beyond = (t < self.times[0] - self._slack) | (t > self.times[-1] + self._slack)
         return int(np.argmax(beyond)) if self.outside == "error" and np.any(beyond) else len(t)
 
     @cached_property

@@ -165,10 +165,11 @@ def _series(loaded: LoadedCase, paths: Column, end: float | None) -> GradientSer
     times = series.times
     if end is None:
         raise loaded.error("time", "gives no end", "time.end, up to the last sample")
-    if not times[0] <= 0.0 < end <= times[-1] * (1.0 + 1e-12):
+    slack = 1e-3 * (times[-1] - times[0]) / len(times)  # of instants in single precision
+    if not times[0] <= 0.0 < end <= times[-1] + slack:
         wrong = f"is {end:g} and the series covers {times[0]:g} to {times[-1]:g}"
         raise loaded.error("time.end", wrong, "an end within the series, which starts at 0")
-    last = int(np.searchsorted(times, end * (1.0 + 1e-12), "right"))
+    last = int(np.searchsorted(times, end + slack, "right"))
     return series.part(slice(None), slice(int(np.searchsorted(times, 0.0)), last))
 
 
@@ -308,9 +309,10 @@ def _write(
 
 def arrays_of(found: Found) -> Iterator[tuple[str, AnyArray]]:
     """The datasets of a result, by name."""
-    by_body = ("moments", "moments_error", "over_strain", "over_strain_error", "counts")
     for place, name in enumerate(found.quantities):
-        yield from ((f"{name}_{part}", getattr(found, part)[:, place]) for part in by_body)
+        rates = () if name.startswith("cos_") else ("over_strain", "over_strain_error")
+        for part in ("moments", "moments_error", *rates, "counts"):
+            yield f"{name}_{part}", getattr(found, part)[:, place]
         yield f"{name}_edges", found.edges[place]
         yield f"{name}_in_time", found.mean_in_time[:, place].T
         yield f"{name}_spread_in_time", found.spread_in_time[:, place].T
