@@ -12,7 +12,9 @@ from qbxstokes.flows import build_flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import Inertia, RigidBodyEquations
+from qbxstokes.reference import lamb
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
+from qbxstokes.reference.inertial import volume
 from qbxstokes.simulation.closed_forms import exact_model
 
 Array = Any
@@ -133,7 +135,10 @@ def test_tilt_of_a_heavy_flat_body_decays_without_turning() -> None:
 def test_lateral_drift_goes_to_higher_shear_and_dies_out(k: float) -> None:
     small = heavy.small_stokes_drift(k)
     assert small > 0.0
-    assert heavy.small_stokes_drift_on_orbit(k, np.inf) == pytest.approx(small, rel=1e-10)
+    theta, (across, along) = volume(k), lamb.translation_resistance(k)
+    exact = theta * (1.0 / along - 1.0 / across) * (1.0 - k * k) * k / (12.0 * (1.0 + k * k))
+    for profile in ("paraboloid", "plane"):
+        assert heavy.small_stokes_drift(k, np.inf, profile) == pytest.approx(exact, rel=1e-10)
     stokes = 1e-3 * heavy.relaxation_rates(k)[1]
     for parts in ("both", "translation"):
         assert heavy.drift(k, stokes, parts) / stokes == pytest.approx(small, rel=1e-4)  # type: ignore[arg-type]

@@ -817,3 +817,15 @@ def test_vectors_are_told_apart_as_vectors() -> None:
     (panel,) = figure_of(held, {"x": "aspect_ratio", "y": "period", "by": list(parts)}).axes
     names = panel.get_legend_handles_labels()[1]
     assert names == ["start axis = (0, 0, 1)", "start axis = (1, 0, 0)"]
+
+
+def test_labels_stay_where_they_are_in_every_file(tmp_path: Path) -> None:
+    with style.styled():
+        figure = style.new_figure(3.0, 2.0)
+        figure.add_subplot().set_ylabel("label")
+    places = []
+    for name in ("a.pdf", "a.png", "b.png"):
+        style.save(figure, tmp_path / name)
+        places.append(figure.axes[0].yaxis.label.get_position()[0])
+    assert places == pytest.approx([places[0]] * 3, abs=1e-3)
+    assert -0.3 < places[0] < -0.05

@@ -207,6 +207,18 @@ def test_small_oscillations_have_one_relaxation_time(rod: qs.Body) -> None:
     assert abs(complex_viscosity - exact) < 1e-6 * abs(exact)
 
 
+@pytest.mark.parametrize("k", [0.2, 5.0])
+def test_extension_has_boltzmanns_density(k: float) -> None:
+    """psi ~ exp(lambda Pe p.E.p/2), E over sqrt(2 E:E) = sqrt(3), p.E.p = (3 z^2 - 1)/2."""
+    flow = qs.flow("polynomial", gradient=np.diag([-0.5, -0.5, 1.0]).tolist())
+    found = qs.rheology(qs.Body(k), flow, 20.0)
+    z, weights = np.polynomial.legendre.leggauss(400)
+    linear = (1.0 - k * k) / (1.0 + k * k)
+    density = weights * np.exp(0.75 * linear * 20.0 / math.sqrt(3.0) * (z * z - 1.0))
+    exact = np.sum(density * z * z) / np.sum(density)
+    assert found.order_tensor[2, 2] == pytest.approx(exact, rel=1e-9)
+
+
 def test_oscillations_repeat(rod: qs.Body) -> None:
     found = qs.rheology(rod, SHEAR, 30.0, protocol="oscillation", amplitude=2.0)
     assert np.abs(found.particle_stress[0] - found.particle_stress[-1]).max() < 1e-7

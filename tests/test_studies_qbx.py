@@ -36,19 +36,15 @@ def test_largest_radius_is_best_and_upsampling_lowers_the_valley(run_study: Run)
 
 
 def test_graded_parameters_serve_every_aspect_ratio(run_study: Run) -> None:
-    found = run_study("qbx_aspect_ratios")
+    found = run_study("qbx_aspect_ratios", "qbx_aspect_ratios", "qbx_recommended")
     assert found["largest error, graded"] < 1e-11
     # At k = 1/5 both are rounding, which differs from machine to machine: 1.2e-14 and less.
     assert found["largest error over its estimate, graded"] < 3.0
-    assert found["smallest error, uniform"] == pytest.approx(0.51, rel=0.01)
-
-
-def test_recommended_parameters_meet_their_tolerances(run_study: Run) -> None:
-    found = run_study("qbx_recommended")
+    assert found["largest error, uniform"] == pytest.approx(0.51, rel=0.01)
     for name, low, high in (("n_theta", 6, 6), ("expansion_order", 8, 8),
                             ("radius_factor", 0.3, 0.3), ("panel_order", 7, 12)):  # fmt: skip
         assert (found[f"smallest {name}"], found[f"largest {name}"]) == (low, high)
-    assert found["largest error over tolerance"] == pytest.approx(3.06e-4, rel=0.01)
+    assert found["largest error over tolerance"] == pytest.approx(7.01e-3, rel=0.01)
     assert found["uniform schemes found"] == 1
     assert found["least work of a uniform scheme"] == 64 * 8 * 4 * 8 * 21
 
@@ -56,7 +52,7 @@ def test_recommended_parameters_meet_their_tolerances(run_study: Run) -> None:
 def test_scripts_are_listed_and_say_how_to_run_them() -> None:
     page = (CASES / "README.md").read_text()
     scripts = sorted((CASES / "studies").glob("qbx_*.py"))
-    assert len(scripts) == 5
+    assert len(scripts) == 4
     for script in scripts:
         assert f"(studies/{script.name})" in page
         assert f"Run:      python cases/studies/{script.name}" in script.read_text()

@@ -9,14 +9,12 @@ Run:      python cases/studies/acceleration.py      (15 s)
 Expected: for a rolling body T is St inertia/R to 1e-7; 226 of the 270 fits count.
 """
 
-import math
-
 import common
 import heavy
 import numpy as np
-from common import Table
-from motions import LOOSE, TIGHT, axes, body, groups, labelled, paraboloid
-from scipy.optimize import minimize_scalar
+from common import Table, labelled
+from motions import LOOSE, TIGHT, axes, body, groups, paraboloid
+from scipy.optimize import curve_fit
 
 import qbxstokes as qs
 from qbxstokes.plots import style
@@ -31,40 +29,38 @@ MOTIONS = {"translation": ("velocity", 0, "along"), "rotation": ("angular_veloci
 def fit(times, values):
     """T and the root mean square misfit over |A| of values = A (1 - exp(-t/T))."""
 
-    def parts(logarithm):
-        rise = -np.expm1(-times / math.exp(logarithm))
-        amplitude = float(rise @ values) / float(rise @ rise)
-        return amplitude, values - amplitude * rise
+    def rise(t, amplitude, logarithm):
+        return -amplitude * np.expm1(-t / np.exp(logarithm))
 
-    middle = math.log(times[-1] / 3.0)
-    found = minimize_scalar(
-        lambda logarithm: float(np.sum(parts(logarithm)[1] ** 2)),
-        bounds=(middle - 4.0, middle + 2.0), method="bounded", options={"xatol": 1e-10},
-    )  # fmt: skip
-    amplitude, rest = parts(float(found.x))
-    return math.exp(float(found.x)), float(np.sqrt(np.mean(rest**2)) / abs(amplitude))
+    middle = np.log(times[-1] / 3.0)
+    bounds = [-np.inf, middle - 4.0], [np.inf, middle + 2.0]
+    tight = {"bounds": bounds, "ftol": 1e-15, "xtol": 1e-12, "gtol": 1e-15}
+    (amplitude, logarithm), _ = curve_fit(rise, times, values, (values[-1], middle), **tight)
+    rest = values - rise(times, amplitude, logarithm)
+    return np.exp(logarithm), np.sqrt(np.mean(rest**2)) / abs(amplitude)
 
 
 def run(k, stokes, table):
     """Add the times of both motions from every start."""
     scales = [stokes / rate for rate in heavy.relaxation_rates(k)]
-    for pair, (name, (quantity, component, along)) in zip((scales[:2], scales[2:]), MOTIONS.items(),
-                                                          strict=True):  # fmt: skip
-        times = np.linspace(0.0, 3.0 * max(pair), 301)
-        loose, tight = (
-            getattr(qs.Simulation(
-                body(k, stokes), paraboloid(DISTANCE), position=(0.0, DISTANCE, 0.0),
-                orientation=axes(STARTS.values()), velocity=np.zeros(3),
-                angular_velocity=np.zeros(3), tolerance=tolerance,
-            ).integrate(times), quantity)[..., component]
-            for tolerance in (LOOSE, TIGHT)
-        )  # fmt: skip
-        for start, other, values in zip(STARTS, loose, tight, strict=True):
+    scene = {
+        "position": (0.0, DISTANCE, 0.0), "orientation": axes(STARTS.values()),
+        "velocity": np.zeros(3), "angular_velocity": np.zeros(3),
+    }  # fmt: skip
+    for (name, (quantity, component, along)), (across, axial) in zip(
+        MOTIONS.items(), (scales[:2], scales[2:]), strict=True
+    ):
+        times, loose_and_tight = np.linspace(0.0, 3.0 * max(across, axial), 301), []
+        for error in (LOOSE, TIGHT):
+            moved = qs.Simulation(body(k, stokes), paraboloid(DISTANCE), **scene, tolerance=error)
+            loose_and_tight.append(getattr(moved.integrate(times), quantity)[..., component])
+        for start, other, values in zip(STARTS, *loose_and_tight, strict=True):
             found, misfit = fit(times, values)
             change, half = fit(times, other)[0] - found, fit(times[:201], values[:201])[0] - found
             table.add(aspect_ratio=k, stokes_number=stokes, motion=name, start=start, time=found,
-                      uncertainty=max(abs(change), 0.5 * abs(half)), misfit=misfit, across=pair[0],
-                      axial=pair[1], ratio=found / pair[start == along])  # fmt: skip
+                      uncertainty=max(abs(change), 0.5 * abs(half)), misfit=misfit, across=across,
+                      axial=axial, ratio=found / (axial if start == along else across),
+            )  # fmt: skip
 
 
 def spread(rows):
@@ -76,24 +72,21 @@ def spread(rows):
 
 def draw(table):
     """Fitted times, and over St inertia/R of the start."""
-    with common.figure("acceleration", style.PAGE, 4.8) as figure:
-        panels = figure.subplots(2, 2, sharex=True)
-        markers = dict(zip(STARTS, "os^", strict=True))
-        for (above, below), motion in zip(panels.T, MOTIONS, strict=True):
+    markers = dict(zip(STARTS, "os^", strict=True))
+    with common.figure("acceleration", style.PAGE, 4.8, 2, 2, "", sharex=True) as panels:
+        for above, below, motion in zip(panels[:2], panels[2:], MOTIONS, strict=True):
             labelled(above, "", "", "xy")
             labelled(below, r"Stokes number $\mathrm{St}$", "")
             above.set_title(motion, loc="left")
             below.axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
-            for (color, _, _), k in zip(
-                style.LINES, np.unique(table["aspect_ratio"]), strict=False
-            ):
+            ratios = np.unique(table["aspect_ratio"])
+            for (color, _, _), k in zip(style.LINES, ratios, strict=False):
                 for start, marker in markers.items():
-                    rows = table.where(aspect_ratio=k, motion=motion, start=start)
-                    x, fitted, rolling = (
-                        rows["stokes_number"],
-                        rows["misfit"] < MISFIT,
+                    rows, rolling = (
+                        table.where(aspect_ratio=k, motion=motion, start=start),
                         marker == "o",
                     )
+                    x, fitted = rows["stokes_number"], rows["misfit"] < MISFIT
                     look = {"color": color, "markerfacecolor": color if rolling else "white",
                             "label": f"$k={k:g}$" if rolling else None}  # fmt: skip
                     above.plot(x[fitted], rows["time"][fitted], marker, **look)
@@ -101,13 +94,11 @@ def draw(table):
                     if rolling:
                         scale = rows["axial" if motion == "rotation" else "across"]
                         above.plot(x, scale, color=color, linewidth=0.7, zorder=0)
-        panels[0, 0].set_ylabel(style.label("fitted time", "tau"))
-        panels[1, 0].set_ylabel(r"fitted time$\,/\,(\mathrm{St}\,$inertia$\,/R)$")
+        panels[0].set_ylabel(style.label("fitted time", "tau"))
+        panels[2].set_ylabel(r"fitted time$\,/\,(\mathrm{St}\,$inertia$\,/R)$")
         for start, marker in markers.items():
             face = "white" if marker != "o" else style.BLACK
-            panels[0, 0].plot([], [], marker, color=style.BLACK, markerfacecolor=face, label=start)
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside right center")
-        style.letter_panels(list(panels.ravel()))
+            panels[0].plot([], [], marker, color=style.BLACK, markerfacecolor=face, label=start)
 
 
 @common.command

@@ -7,14 +7,17 @@ promises. `python SCRIPT --small` is a short form of a few seconds, which the te
 
 import argparse
 import csv
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 import qbxstokes as qs
+from qbxstokes.bie.accuracy import plain_body
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import UniformScheme
+from qbxstokes.simulation.closed_forms import true_error
 
 
 class Table:
@@ -54,22 +57,42 @@ def markdown(head, rows):
 
 
 @contextmanager
-def figure(name, width, height):
-    """A figure of this size in inches, written as NAME.pdf and NAME.png at the end of the block."""
+def figure(name, width, height, rows=1, columns=1, outside=None, **shared):
+    """Panels in rows, one list, of a figure of this size in inches: NAME.pdf and NAME.png.
+
+    outside: title of the legend that stands beside the panels, of what is named in the first one.
+    """
     from PIL import Image
 
     with style.styled():
         drawn = style.new_figure(width, height)
-        yield drawn
-        drawn.get_layout_engine().execute(drawn)  # once for both files
-        drawn.set_layout_engine("none")
+        panels = drawn.subplots(rows, columns, squeeze=False, **shared).ravel().tolist()
+        yield panels
+        style.letter_panels(panels)
+        if outside is not None:
+            names = panels[0].get_legend_handles_labels()
+            drawn.legend(*names, title=outside or None, loc="outside right center")
         style.save(drawn, Path(f"{name}.pdf"))
         path = style.save(drawn, Path(f"{name}.png"), 200.0)
-    with Image.open(
-        path
-    ) as picture:  # with a palette, several times smaller; lines keep their edges
+    # With a palette, several times smaller; lines keep their edges.
+    with Image.open(path) as picture:
         small = picture.convert("RGB").quantize(64, dither=Image.Dither.NONE)
         small.save(path, "PNG", optimize=True, dpi=picture.info.get("dpi", (72, 72)))
+
+
+def labelled(panel, x, y, log=""):
+    """Name the axes of a panel; log: which of "x" and "y" are logarithmic."""
+    panel.set_xlabel(x)
+    panel.set_ylabel(y)
+    for letter in log:
+        getattr(panel, f"set_{letter}scale")("log")
+
+
+def curves(panel, table, x, y, by, text="${:g}$"):
+    """Draw a column over another, a curve with markers for each value of `by`, named by text."""
+    for index, value in enumerate(dict.fromkeys(table[by].tolist())):
+        rows = table.where(**{by: value})
+        panel.plot(rows[x], rows[y], label=text.format(value), **style.line_style(index, True))
 
 
 def command(main):
@@ -113,7 +136,9 @@ def largest_ratio(k, n_theta):
     return min(k * k, 1.0 / k) * n_theta / (2.0 * np.pi)
 
 
-def work(scheme):
-    """Source nodes times targets times orders: what the set-up of a uniform scheme takes."""
-    sources = scheme.upsampling**2 * scheme.n_theta * scheme.n_phi / 2
-    return sources * scheme.n_theta * (scheme.expansion_order + 1)
+def formed(k, scheme):
+    """Model of a body by a scheme, its true error, and the wall time (s) of its set-up."""
+    begin = time.perf_counter()
+    model = plain_body(qs.Spheroid(k), scheme).model
+    spent = time.perf_counter() - begin
+    return model, true_error(model), spent

@@ -13,40 +13,28 @@ which is the balance of angular momentum of an axisymmetric body under Jeffery's
 Einarsson, Angilella & Mehlig 2014 (Physica D 278, 79) for particle inertia.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from qbxstokes.reference import jeffery, lamb
 from qbxstokes.reference.inertial import inertia, volume
-from qbxstokes.typing import Array
-
-Inertia = Literal["both", "translation", "rotation"]
 
 _NODES = 512  # of the average over an orbit; its integrand is analytic in the phase
-# Radau IIA of three stages: order 5, and disturbances that decay within a step vanish
-# (Hairer & Wanner 1996, Solving Ordinary Differential Equations II, table IV.5.6).
-_ROOT = np.sqrt(6.0)
-_RADAU_PLACES = np.array([(4.0 - _ROOT) / 10.0, (4.0 + _ROOT) / 10.0, 1.0])
-_RADAU = np.array(
-    [
-        [(88.0 - 7.0 * _ROOT) / 360.0, (296.0 - 169.0 * _ROOT) / 1800.0, (3.0 * _ROOT - 2) / 225.0],
-        [(296.0 + 169.0 * _ROOT) / 1800.0, (88.0 + 7.0 * _ROOT) / 360.0, -(2 + 3 * _ROOT) / 225.0],
-        [(16.0 - _ROOT) / 36.0, (16.0 + _ROOT) / 36.0, 1.0 / 9.0],
-    ]
-)
+# Radau IIA of three stages, as collocation: order 5, and disturbances that decay within a step
+# vanish (Hairer & Wanner 1996, Solving Ordinary Differential Equations II, section IV.5).
+_PLACES, _POWERS = np.array([[0.4 - np.sqrt(0.06)], [0.4 + np.sqrt(0.06)], [1.0]]), np.arange(3)
+_RADAU = _PLACES ** (_POWERS + 1) / (_POWERS + 1) @ np.linalg.inv(_PLACES**_POWERS)
 
 
-def shape(k: float) -> float:
+def shape(k):
     """lambda = (1 - k^2)/(1 + k^2)."""
     return (1.0 - k * k) / (1.0 + k * k)
 
 
-def relaxation_rates(k: float) -> tuple[float, float, float, float]:
+def relaxation_rates(k):
     """R/inertia: translation transverse, axial, rotation transverse, axial; over St, rates."""
     transverse, axial = lamb.translation_resistance(k)
     turning, spinning = jeffery.rotation_resistance(k)
@@ -55,7 +43,7 @@ def relaxation_rates(k: float) -> tuple[float, float, float, float]:
     return transverse / volume(k), axial / volume(k), *rotation
 
 
-def jeffery_orbit(k: float, constant: float) -> tuple[Array, Array]:
+def jeffery_orbit(k, constant):
     """Axis (n, 3) and its rate on an orbit at equal steps of time; constant may be infinite."""
     start = np.array([1.0, 0.0, 0.0]) if np.isinf(constant) else np.array([constant, 0.0, 1.0])
     times = jeffery.period(k) * np.arange(_NODES) / _NODES
@@ -63,15 +51,15 @@ def jeffery_orbit(k: float, constant: float) -> tuple[Array, Array]:
     return d, jeffery_rate(k, d)
 
 
-def jeffery_rate(k: float, d: Array) -> Array:
+def jeffery_rate(k, d):
     """g(d), (..., 3): rate of the axis of a free massless body in the shear of rate 1."""
     lam = shape(k)
     pull = lam * d[..., 0] * d[..., 1]
     linear = 0.5 * (1.0 + lam) * d[..., 1], -0.5 * (1.0 - lam) * d[..., 0], 0.0 * d[..., 2]
-    return np.asarray(np.stack(linear, axis=-1) - pull[..., None] * d)
+    return np.stack(linear, axis=-1) - pull[..., None] * d
 
 
-def orbit_drift_coefficient(k: float, constant: float) -> float:
+def orbit_drift_coefficient(k, constant):
     """b in d(ln C)/dt = St b + O(St^2), averaged over the Jeffery orbit of constant C.
 
     The correction of d' is projected on grad ln C, ln C = ln(d2^2 + k^2 d1^2)/2 - ln |d3| - ln k;
@@ -93,7 +81,7 @@ def orbit_drift_coefficient(k: float, constant: float) -> float:
     return float(np.mean(moved - change[:, 2] / d[:, 2]))
 
 
-def lag(k: float, d: Array, g: Array) -> Array:
+def lag(k, d, g):
     """What inertia adds to the rate g of the axis d, (..., 3), per Stokes number as it goes to 0.
 
     -(J1 P g' + J3 s g x d)/R, with the spin s of Jeffery's body.
@@ -103,10 +91,10 @@ def lag(k: float, d: Array, g: Array) -> Array:
     second = jeffery_rate(k, d + 1e-30j * g).imag / 1e-30
     second = second - d * np.sum(d * second, axis=-1, keepdims=True)
     spin = -0.5 * d[..., 2:]
-    return np.asarray(-(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning)
+    return -(moments[0] * second + moments[2] * spin * np.cross(g, d)) / turning
 
 
-def rolling_drift_coefficient(k: float) -> float:
+def rolling_drift_coefficient(k):
     """b near log-rolling, C -> 0: J3 lambda/(4 R), positive for prolate bodies.
 
     The trace of the linear system for (d1, d2) about d = e3: (J1 (1 - lambda^2) - J3)/(4 R), and
@@ -116,7 +104,7 @@ def rolling_drift_coefficient(k: float) -> float:
     return float(inertia(k)[2]) * shape(k) / (4.0 * turning)
 
 
-def rolling_mode(k: float, stokes_number: float) -> complex:
+def rolling_mode(k, stokes_number):
     """Growth rate and rate of turning of a small tilt from log-rolling, for any St: an eigenvalue.
 
     Of those that grow fastest or decay slowest, the one with positive imaginary part.
@@ -146,16 +134,16 @@ class Tumbling:
 
     aspect_ratio: float
     stokes_number: float
-    angle: Array
-    speed: Array
+    angle: np.ndarray
+    speed: np.ndarray
 
     @property
-    def half_turn(self) -> float:
+    def half_turn(self):
         """Time of half a turn."""
         return float(np.pi * np.mean(1.0 / self.speed))
 
     @property
-    def rate(self) -> float:
+    def rate(self):
         """Mean rate of rotation: k/(1+k^2) for St = 0, 1/2 for St -> infinity.
 
         With t = St J1/R large, p = 1/2 + p1/t + p2/t^2 + ..., p1 = lambda/2 sin 2a, <p2> = 0, so
@@ -163,82 +151,62 @@ class Tumbling:
         """
         return float(np.pi) / self.half_turn
 
-    def mean(self, values: Array) -> float:
+    def mean(self, values):
         """Average over time of values at the nodes."""
         return float(np.mean(values / self.speed) / np.mean(1.0 / self.speed))
 
 
 @lru_cache(maxsize=256)
-def tumbling(k: float, stokes_number: float) -> Tumbling:
+def tumbling(k, stokes_number):
     """The periodic solution of p dp/da = (b/St)(p + g), g = -1/2 + (lambda/2) cos 2a.
 
-    Fourier collocation and Newton's method from Jeffery's p = -g, St raised step by step.
-    stokes_number = 0 is Jeffery's orbit.
+    Fourier collocation and Newton's method from what a body comes to in three half-turns, or, of
+    heavy ones, from even rotation. stokes_number = 0 is Jeffery's orbit, p = -g.
     """
-    lam = shape(k)
-    n = _nodes(k)
+    lam, lag = shape(k), stokes_number / relaxation_rates(k)[2]
+    # Odd; 1/p has poles at a distance of about min(k, 1/k) from the axis.
+    n = int(np.clip(20.0 / min(k, 1.0 / k), 65, 1001)) | 1
     angle = np.pi * np.arange(n) / n
     free = 0.5 - 0.5 * lam * np.cos(2.0 * angle)
-    if stokes_number == 0.0:
+    if lag == 0.0:
         return Tumbling(k, 0.0, angle, free)
-    derivative = _derivative(n)
-    lag = stokes_number / relaxation_rates(k)[2]
-    # Heavy bodies turn almost evenly: a start as good as Jeffery's for light ones.
-    even = _newton(np.full(n, 0.5), free, derivative, lag) if lag > 2.0 else None
-    if even is not None:
-        return Tumbling(k, stokes_number, angle, even)
-    speed, reached = free, 0.0
-    step = min(lag, 0.1 * k if k < 1.0 else 0.1 / k)
-    while reached < lag:
-        trial = min(lag, reached + step)
-        # On the way there a start for the next step is enough.
-        found = _newton(speed, free, derivative, trial, 1e-13 if trial == lag else 1e-3)
-        if found is None:
-            step *= 0.5
-            continue
-        speed, reached = found, trial
-        step = max(2.0 * step, reached)
-    return Tumbling(k, stokes_number, angle, speed)
+    p, before = np.full(n, 0.5), np.inf
+    if lag < 2.0:
 
+        def rate(turned, speed):
+            return (0.5 - 0.5 * lam * np.cos(2.0 * turned) - speed) / (lag * speed)
 
-def _nodes(k: float) -> int:
-    """Odd number of nodes: 1/p has poles at a distance of about min(k, 1/k) from the axis."""
-    thin = min(k, 1.0 / k)
-    return int(np.clip(20.0 / thin, 65, 1001)) | 1
+        last = 3.0 * np.pi - angle[::-1]  # the angle falls
+        p = solve_ivp(rate, (0.0, last[-1]), [0.5], "LSODA", last, rtol=1e-6).y[0, ::-1]
+    for _ in range(30):
+        slope = _derivative(n) @ p
+        residual = lag * p * slope - (p - free)
+        jacobian = lag * (np.diag(slope) + p[:, None] * _derivative(n)) - np.eye(n)
+        change = np.linalg.solve(jacobian, residual)
+        p, size = p - change, np.abs(change).max()
+        # For a large lag rounding keeps the changes above any fixed bound: there they stagnate.
+        if size < 1e-13 or 0.1 * before < size < 1e-8:
+            break
+        before = size
+    if not p.min() > 0.0:
+        raise ArithmeticError(
+            f"no periodic solution was found for k = {k:g}, St = {stokes_number:g}"
+        )
+    return Tumbling(k, stokes_number, angle, p)
 
 
 @lru_cache(maxsize=8)
-def _derivative(n: int) -> Array:
+def _derivative(n):
     """Differentiation of functions of period pi at n equal nodes, n odd (Trefethen 2000, ch. 3)."""
     j = np.arange(n)
     difference = j[:, None] - j
     with np.errstate(divide="ignore"):
         matrix = (-1.0) ** difference / np.sin(np.pi * difference / n)
     matrix[j, j] = 0.0
-    return np.asarray(matrix)
+    return matrix
 
 
-def _newton(
-    start: Array, free: Array, derivative: Array, lag: float, enough: float = 1e-13
-) -> Array | None:
-    p, before = start.copy(), np.inf
-    for _ in range(30):
-        slope = derivative @ p
-        residual = lag * p * slope - (p - free)
-        jacobian = lag * (np.diag(slope) + p[:, None] * derivative) - np.eye(p.size)
-        change = np.linalg.solve(jacobian, residual)
-        p = p - change
-        if not np.all(p > 0.0):
-            return None
-        size = float(np.max(np.abs(change)))
-        # For a large lag rounding keeps the changes above any fixed bound: there they stagnate.
-        if size < enough or (size < 1e-8 and size > 0.1 * before):
-            return np.asarray(p)
-        before = size
-    return None
-
-
-def light_rate_coefficient(k: float) -> float:
+def light_rate_coefficient(k):
     """m in rate = k/(1+k^2) (1 + m (St J1/R)^2 + ...) for light bodies: s (1 - s).
 
     s = 2k/(1+k^2). Inserting p = f + t f f' + t^2 (f^2 f'' + 2 f f'^2) + ..., f = -g and
@@ -248,7 +216,7 @@ def light_rate_coefficient(k: float) -> float:
     return s * (1.0 - s)
 
 
-def tumbling_exponent(k: float, stokes_number: float) -> float:
+def tumbling_exponent(k, stokes_number):
     """Growth rate of a small d3 about tumbling, for any St > 0; -b near C infinite for small St.
 
     z'' + a'^2 z = -(b/St)(lambda sin a cos a z + z') + (J3/J1) s a',  s' = -(b3/St)(z/2 + s),
@@ -263,9 +231,9 @@ def tumbling_exponent(k: float, stokes_number: float) -> float:
     size = np.pi / steps
     # Stages (steps, 3): the angle falls from pi to 0; p there from its Fourier series.
     waves = np.fft.rfft(orbit.speed) / orbit.angle.size * steps
-    shifts = np.exp(2j * np.arange(waves.size) * (1.0 - _RADAU_PLACES[:, None]) * size)
+    shifts = np.exp(2j * np.arange(waves.size) * (1.0 - _PLACES) * size)
     p = np.fft.irfft(waves * shifts, steps)[:, ::-1].T
-    angle = np.pi - size * (np.arange(steps)[:, None] + _RADAU_PLACES)
+    angle = np.pi - size * (np.arange(steps)[:, None] + _PLACES[:, 0])
     system = np.zeros((steps, 3, 3, 3))  # d(z, z', s)/d(-angle) = system/p
     system[..., 0, 1] = 1.0
     system[..., 1, 0] = -p * p - across * shape(k) * np.sin(angle) * np.cos(angle)
@@ -284,28 +252,22 @@ def tumbling_exponent(k: float, stokes_number: float) -> float:
     return float(np.log(np.max(np.abs(multipliers))) / orbit.half_turn)
 
 
-def small_stokes_drift(k: float) -> float:
-    """Drift velocity over K St towards higher shear of a tumbling body, St -> 0.
+def small_stokes_drift(k, constant=np.inf, profile="paraboloid"):
+    """Drift velocity over K St towards higher shear on the Jeffery orbit of constant C, St -> 0.
 
     To first order V = U - St Theta R^-1 U', so that across the stream
-    V2 = -St Theta (1/R3 - 1/R1) <d1 d2 U'>, with U = K (... + (1-k^2)/3 d2^2) in the plane:
-    V2 = K St Theta (1/R3 - 1/R1) (1 - k^2) k/(12 (1 + k^2)). Positive for every k but 1.
+    V2 = -St Theta (1/R3 - 1/R1) <d1 d2 U'>. U varies as K (1 - k^2)/3 (1 - d1^2) in a paraboloid,
+    as K (1 - k^2)/3 d2^2 in a plane profile. Of a tumbling body it is, for either,
+    K St Theta (1/R3 - 1/R1) (1 - k^2) k/(12 (1 + k^2)), positive for every k but 1.
     """
-    transverse, axial = lamb.translation_resistance(k)
-    mobility = 1.0 / axial - 1.0 / transverse
-    return volume(k) * mobility * (1.0 - k * k) * k / (12.0 * (1.0 + k * k))
-
-
-def small_stokes_drift_on_orbit(k: float, constant: float) -> float:
-    """The same on the Jeffery orbit of constant C, in a paraboloid: U varies as 1 - d1^2."""
     d, g = jeffery_orbit(k, constant)
-    transverse, axial = lamb.translation_resistance(k)
-    mobility = 1.0 / axial - 1.0 / transverse
-    lag = np.mean(d[:, 0] * d[:, 1] * (-2.0 * d[:, 0] * g[:, 0]))
-    return float(-volume(k) * mobility * (1.0 - k * k) / 3.0 * lag)
+    across, along = lamb.translation_resistance(k)
+    sign, i = (-1.0, 0) if profile == "paraboloid" else (1.0, 1)
+    lag = np.mean(d[:, 0] * d[:, 1] * sign * 2.0 * d[:, i] * g[:, i])
+    return float(-volume(k) * (1.0 / along - 1.0 / across) * (1.0 - k * k) / 3.0 * lag)
 
 
-def large_stokes_drift(k: float) -> float:
+def large_stokes_drift(k):
     """Drift velocity times St/K of a tumbling body, St -> infinity: (R1 - R3)(1 - k^2)/(24 Theta).
 
     The body turns uniformly, d = (cos t/2, -sin t/2), and its velocity stays all but constant, so
@@ -316,7 +278,7 @@ def large_stokes_drift(k: float) -> float:
     return (transverse - axial) * (1.0 - k * k) / (24.0 * volume(k))
 
 
-def drift(k: float, stokes_number: float, parts: Inertia = "both") -> float:
+def drift(k, stokes_number, parts="both"):
     """Drift velocity over K towards higher shear of a tumbling body, weak curvature, any St.
 
     With w = V - u at the centre and the shear of rate 1, w' = -R(d) w/(St Theta) - w2 e1 - U' e1
@@ -337,8 +299,3 @@ def drift(k: float, stokes_number: float, parts: Inertia = "both") -> float:
     push = -(1.0 - k * k) / 3.0 * 2.0 * sine * cosine * -p
     w = np.linalg.solve(matrix, np.concatenate([push, np.zeros(n)]))
     return orbit.mean(w[n:])
-
-
-def slowest_relaxation(k: float, stokes_number: float) -> float:
-    """Time in which the slowest disturbance of translation or rotation decays by e."""
-    return stokes_number / min(relaxation_rates(k))

@@ -2,7 +2,7 @@
 
 Mean velocity across the stream over the curvature K of the profile, 16 lengths from its axis, with
 inertia of both motions, of the translation or of the rotation alone, against the periodic solution
-for weak curvature and its limits (qbxstokes/reference/heavy.py).
+for weak curvature and its limits (heavy.py).
 
 Paper:    J. Bagge 2015, KTH, chapter 9, for a single run; the rest is new here.
 Run:      python cases/studies/lateral_drift.py      (90 s)
@@ -15,8 +15,8 @@ import math
 import common
 import heavy
 import numpy as np
-from common import Table, power
-from motions import averages, body, cross, groups, labelled, orbit, paraboloid, shown
+from common import Table, labelled, power
+from motions import averages, body, cross, groups, orbit, paraboloid, shown
 from scipy.optimize import minimize_scalar
 
 from qbxstokes.plots import style
@@ -61,8 +61,7 @@ def maximum(k, runs):
 
 def draw(drift, small):
     """Drift against St; the same over its limits of small and large St, joined, by parts."""
-    with common.figure("lateral_drift", style.PAGE, 2.7) as figure:
-        left, right = figure.subplots(1, 2)
+    with common.figure("lateral_drift", style.PAGE, 2.7, 1, 2, "$k$") as (left, right):
         labelled(left, r"Stokes number $\mathrm{St}$", r"drift$\,/\,K c^2$", "xy")
         labelled(right, r"$\mathrm{St}\,\Theta/R_1$",
                  r"drift$\,/\,$limits of small and large $\mathrm{St}$, joined", "x")  # fmt: skip
@@ -92,8 +91,6 @@ def draw(drift, small):
             right.plot([], [], color=style.BLACK, linestyle=dashes, label=text)
         right.axhline(1.0, color=style.GREY, linewidth=0.6, zorder=0)
         right.legend(loc="lower left", title="inertia")
-        figure.legend(*left.get_legend_handles_labels(), title="$k$", loc="outside right upper")
-        style.letter_panels([left, right])
 
 
 @common.command

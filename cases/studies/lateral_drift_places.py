@@ -1,14 +1,19 @@
-"""Drift to higher shear, where: against distance and curvature, on Jeffery orbits, in two profiles.
+"""Drifts, where: to higher shear over distance, curvature, orbit and profile; of orbits likewise.
 
 In a paraboloid K (x2^2 + x3^2) and a plane profile K x2^2. Tumbling bodies at 1 to 32 lengths from
 the axis of the paraboloid, at a fixed shear rate at the start: K = 1/(2 distance). Light bodies
 with inertia of the translation alone, which keeps their orbits, against the average over Jeffery's
 orbit of the first-order theory.
 
-Run:      python cases/studies/lateral_drift_places.py      (20 s)
+And drift of orbits near tumbling, at the same distances: in a quadratic flow the torque depends on
+the gradient at the centre alone, so that only the path can make a difference from shear, of the
+rate at the start, and of the mean rate where the body was.
+
+Run:      python cases/studies/lateral_drift_places.py      (25 s)
 Expected: K c^2 f(k, St rate) with the shear rate where the body is, within 0.08 % from four lengths
-          on and 1 % at one; on orbits within 0.06 % of the theory. (New here; the theory is
-          derived in qbxstokes/reference/heavy.py.)
+          on and 1 % at one; on orbits within 0.06 % of the theory, which heavy.py derives. Rates of
+          orbits differ by parts (c/distance)^2, below 0.15 % from 8 lengths on; with the mean local
+          rate, for k = 1/2, by less than the uncertainty. (New here.)
 """
 
 import math
@@ -16,26 +21,17 @@ import math
 import common
 import heavy
 import numpy as np
-from common import Table, power
+from common import Table, labelled, power
 from lateral_drift import FAR, HALF_TURNS, run
-from motions import averages, body, doubling, labelled, orbit, paraboloid, shown
+from motions import averages, body, doubling, orbit, paraboloid, shown
 
 import qbxstokes as qs
 from qbxstokes.plots import style
-from qbxstokes.reference import inertial, lamb
 
 RUNS = ((0.5, 10.0), (0.5, 100.0), (2.0, 1.0), (2.0, 10.0))
+NEAR_TUMBLING = ((0.5, 10.0, 50.0), (2.0, 1.0, 1e6))  # k, St, and an orbit constant
+HEADS = ("mean local shear rate", "against the starting rate", "against the local rate")
 PROFILES = [(k, profile) for k in (0.5, 2.0) for profile in ("paraboloid", "plane")]
-
-
-def orbit_theory(k, constant, profile):
-    """Drift over K St on a Jeffery orbit for St -> 0: U varies as 1 - d1^2, or as d2^2."""
-    if profile == "paraboloid":
-        return heavy.small_stokes_drift_on_orbit(k, constant)
-    d, g = heavy.jeffery_orbit(k, constant)
-    across, along = lamb.translation_resistance(k)
-    lag = float(np.mean(d[:, 0] * d[:, 1] * 2.0 * d[:, 1] * g[:, 1]))
-    return -inertial.volume(k) * (1.0 / along - 1.0 / across) * (1.0 - k * k) / 3.0 * lag
 
 
 def on_orbits(k, profile, constants, found):
@@ -52,13 +48,29 @@ def on_orbits(k, profile, constants, found):
     scale = stokes * 0.5 / FAR
     for c, v, e in zip(constants, drift / scale, error / scale, strict=True):
         found.add(aspect_ratio=k, profile=profile, orbit_constant=c, drift=v[1], uncertainty=e[1],
-                  theory=orbit_theory(k, c, profile), along_vorticity=v[2])  # fmt: skip
+                  theory=heavy.small_stokes_drift(k, c, profile), along_vorticity=v[2])  # fmt: skip
 
 
-def draw(places, orbits):
-    """Drift over its value for weak curvature against distance; on orbits over that of tumbling."""
-    with common.figure("lateral_drift_places", style.PAGE, 2.7) as figure:
-        left, right = figure.subplots(1, 2)
+def orbit_drift(k, stokes, constant, distance, found):
+    """Add the rates of ln C in the paraboloid and in shear of the rate where the body is."""
+    moving, start = body(k, [stokes]), orbit(k, constant)
+    relaxed = 10.0 * stokes / min(heavy.relaxation_rates(k))
+    place = (0.0, distance, 0.0)
+    curved = averages(moving, paraboloid(distance), start, HALF_TURNS, place, relaxed)
+    local = float(curved["position"][0][0, 1]) / distance
+    shear = qs.flow("shear", rate=local)
+    straight = averages(moving, shear, start, HALF_TURNS, relaxed=relaxed)
+    rate, error = (float(values[0]) for values in curved["orbit_drift"])
+    other, other_error = (float(values[0]) for values in straight["orbit_drift"])
+    found.add(aspect_ratio=k, stokes_number=stokes, distance=distance, local_rate=local, rate=rate,
+              uncertainty=error, in_shear=other, difference=rate / other - 1.0,
+              difference_uncertainty=(error + other_error) / abs(other),
+              from_start=rate / -heavy.tumbling_exponent(k, stokes) - 1.0)  # fmt: skip
+
+
+def draw(places, orbits, local):
+    """Drifts over that for weak curvature, that of tumbling, and that in shear."""
+    with common.figure("lateral_drift_places", style.PAGE, 2.7, 1, 2) as (left, right):
         doubling(left, r"drift$\,/\,$weak curvature")
         labelled(right, "orbit $C/(1+C)$", r"drift$\,/\,$that of tumbling")
         for index, (k, st) in enumerate(RUNS):
@@ -75,30 +87,40 @@ def draw(places, orbits):
         fine = np.geomspace(0.1, 1e4, 60)
         for (color, dashes, marker), (k, profile) in zip(style.LINES, PROFILES, strict=False):
             rows = orbits.where(aspect_ratio=k, profile=profile)
-            limit = orbit_theory(k, math.inf, profile)
-            exact = [orbit_theory(k, c, profile) / limit for c in fine.tolist()]
+            limit = heavy.small_stokes_drift(k, math.inf, profile)
+            exact = [heavy.small_stokes_drift(k, c, profile) / limit for c in fine]
             right.plot(fine / (1.0 + fine), exact, color=color, linestyle=dashes)
             place, label = 1.0 - 1.0 / (1.0 + rows["orbit_constant"]), f"$k={k:g}$, {profile}"
             right.plot(place, rows["drift"] / limit, marker, color=color, markerfacecolor="white",
                        label=label)  # fmt: skip
         right.legend(loc="upper left")
-        style.letter_panels([left, right])
+    with common.figure("local_orbit_drift", style.COLUMN, 2.4) as (panel,):
+        doubling(panel, "relative difference from shear", "y")
+        for index, (k, _, _) in enumerate(NEAR_TUMBLING):
+            rows, look = local.where(aspect_ratio=k), style.line_style(index, markers=True)
+            for name, text in (("from_start", "starting rate"), ("difference", "local rate")):
+                panel.plot(rows["distance"], np.abs(rows[name]), label=f"$k={k:g}$, {text}", **look)
+                look |= {"markerfacecolor": look["color"]}
+        panel.legend()
 
 
 @common.command
 def main(small=False):
-    """Run, print, write and draw; the largest differences from theory."""
+    """Run, print, write and draw; the largest differences from theory and from shear."""
     distances = (4.0, 16.0) if small else (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     constants = [1.0, math.inf] if small else [0.3, 1.0, 3.0, 10.0, math.inf]
     places = Table("lateral_drift_places_distance", "drift: K c^2; theory: at the mean shear rate")
     orbits = Table("lateral_drift_places_orbits", "drift, and that along the vorticity, over K St")
-    for k, light in RUNS[::2]:
-        for distance in distances:
+    local = Table("local_orbit_drift", "rates of ln C; differences from shear, relative")
+    for distance in distances:
+        for k, light in RUNS[::2]:
             run(k, [light, 10.0 * light], "both", distance, places)
+        for k, stokes, constant in NEAR_TUMBLING:
+            orbit_drift(k, stokes, constant, distance, local)
     for k, profile in PROFILES:
         on_orbits(k, profile, constants, orbits)
-    places.write()
-    orbits.write()
+    for table in (places, orbits, local):
+        table.write()
     for row in places.rows:
         ratio = row["drift"] / heavy.drift(row["aspect_ratio"], row["stokes_number"])
         row["text"] = (f"{shown(row['drift'], row['uncertainty'])}; {ratio:.4f}; "
@@ -111,11 +133,25 @@ def main(small=False):
     common.markdown(("C", *(f"k = {'1/2' if k < 1.0 else 2}, {p}" for k, p in PROFILES)), [
         ("tumbling" if math.isinf(c) else f"{c:g}", *orbits.where(orbit_constant=c)["text"])
         for c in constants])  # fmt: skip
-    draw(places, orbits)
-    apart = np.abs(places["drift"] / places["theory"] - 1.0)
+    head, printed = ["distance"], {d: [f"{d:g}"] for d in distances}
+    for k, stokes, _ in NEAR_TUMBLING:
+        head += [f"k = {'1/2' if k < 1.0 else 2}, St = {stokes:g}: rate", *HEADS]
+    for row in local.rows:
+        start, here, doubt = (
+            100.0 * row[name] for name in ("from_start", "difference", "difference_uncertainty")
+        )
+        printed[row["distance"]] += [
+            shown(row["rate"], row["uncertainty"]), f"{row['local_rate']:.4f}",
+            f"{start:+.2g} %", f"{here:+.2g} ± {float(power(doubt, 0)):g} %",
+        ]  # fmt: skip
+    common.markdown(head, printed.values())
+    draw(places, orbits, local)
+    apart, far = np.abs(places["drift"] / places["theory"] - 1.0), local["distance"] >= 8.0
     return {
         "largest difference, from four lengths on": apart[places["distance"] >= 4.0].max(),
         "largest difference at any distance": apart.max(),
         "largest difference on orbits": np.abs(orbits["drift"] / orbits["theory"] - 1.0).max(),
         "largest velocity along the vorticity": np.abs(orbits["along_vorticity"]).max(),
+        "orbit drift from 8 lengths on": np.abs(local["from_start"][far]).max(),
+        "from shear of the local rate": np.abs(local["difference"][far]).max(),
     }

@@ -6,7 +6,7 @@ from typing import Any
 
 import heavy
 import numpy as np
-from common import markdown
+from common import labelled, markdown
 
 import qbxstokes as qs
 from qbxstokes.geometry import rotation
@@ -77,7 +77,7 @@ def averages(
         if moving.inertia != "translation":
             half_turn = heavy.tumbling(k, float(stokes.min()) * rate).half_turn / rate
     if relaxed is None:
-        relaxed = TRANSIENT * heavy.slowest_relaxation(k, float(stokes.max()))
+        relaxed = TRANSIENT * float(stokes.max()) / min(heavy.relaxation_rates(k))
     step = min(2.0 * math.pi / _SAMPLES, 0.6 * max(min(k, 1.0 / k), 0.02)) / rate
     samples = math.ceil((half_turns + 0.5) * half_turn / step)
     times = relaxed + half_turn + step * np.arange(samples)
@@ -85,15 +85,15 @@ def averages(
 
     def over(motion, start, stop):
         part = motion.between(start, stop)
-        found = part.averages()
-        found["rotation_rate"] = np.abs(found["rotation_rate"])
-        return found | {"velocity": found["mean_velocity"], "position": part.position.mean(axis=1)}
+        found = part.averages() | {"position": part.position.mean(axis=1)}
+        found["velocity"] = found["mean_velocity"]
+        return found | {"rotation_rate": np.abs(found["rotation_rate"])}
 
+    scene = {"position": position, "orientation": orientation}
     loose, tight = (
-        qs.Simulation(moving, flow, position=position, orientation=orientation, tolerance=error)
-        .integrate(times)
+        qs.Simulation(moving, flow, **scene, tolerance=error).integrate(times)
         for error in (LOOSE, TIGHT)
-    )  # fmt: skip
+    )
     whole, other = over(tight, times[0], end), over(loose, times[0], end)
     early, late = over(tight, times[0], middle), over(tight, middle, end)
     return {
@@ -139,14 +139,6 @@ def cross(table, cell):
             [f"{float(f'{st:.3g}'):g}", *(cell(some[0]) if some else "–" for some in found)]
         )
     markdown(["St", *(f"k = {k:g}" for k in ratios)], rows)
-
-
-def labelled(panel, x, y, log=""):
-    """Name the axes of a panel; log: which of "x" and "y" are logarithmic."""
-    panel.set_xlabel(x)
-    panel.set_ylabel(y)
-    for letter in log:
-        getattr(panel, f"set_{letter}scale")("log")
 
 
 def doubling(panel, y, log=""):

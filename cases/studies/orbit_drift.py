@@ -2,7 +2,7 @@
 
 Rates of ln C near both limits at any Stokes number against the exact exponents of the linearised
 equations, and from the orbit C = 1 on, for light bodies, against b in d(ln C)/dt = St b(C), the
-average over Jeffery's orbit (qbxstokes/reference/heavy.py). A body that leaves a limit starts so
+average over Jeffery's orbit (heavy.py). A body that leaves a limit starts so
 close to it that it is still near at the end, one that arrives there so far from it that it is near
 only when the transient, ten relaxation times of the rotation, is over.
 
@@ -17,8 +17,8 @@ import math
 import common
 import heavy
 import numpy as np
-from common import Table, power
-from motions import SHEAR, TIGHT, averages, body, groups, labelled, orbit, shown
+from common import Table, labelled, power
+from motions import SHEAR, TIGHT, averages, body, groups, orbit, shown
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
@@ -111,8 +111,7 @@ def largest(k, where, lags):
 
 def draw(rates, lags, histories):
     """Rates against St near rolling and tumbling, b(C), and C in time."""
-    with common.figure("orbit_drift", style.PAGE, 5.0) as figure:
-        panels = figure.subplots(2, 2).ravel()
+    with common.figure("orbit_drift", style.PAGE, 5.0, 2, 2, "$k$") as panels:
         for panel, where in zip(panels, EXPONENTS, strict=False):
             labelled(panel, r"Stokes number $\mathrm{St}$",
                      r"$|\mathrm{d}\ln C/\mathrm{d}t|\,/\,$shear rate", "xy")  # fmt: skip
@@ -143,9 +142,6 @@ def draw(rates, lags, histories):
             panels[3].plot(t, c / (1.0 + c), **look)
         panels[3].set_ylim(-0.02, 1.02)
         panels[3].legend(loc="center right")
-        handles = panels[0].get_legend_handles_labels()
-        figure.legend(*handles, title="$k$", loc="outside right upper")
-        style.letter_panels(list(panels))
 
 
 @common.command

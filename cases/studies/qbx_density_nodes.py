@@ -16,14 +16,12 @@ import time
 
 import common
 import numpy as np
-from common import Table, power
+from common import Table, formed, power
 
 import qbxstokes as qs
-from qbxstokes.bie.accuracy import plain_body
 from qbxstokes.bie.operators import surface_operators
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import GradedScheme, UniformScheme
-from qbxstokes.simulation.closed_forms import true_error
 
 SOURCES = 240  # polar nodes of the upsampled grid
 POWERS = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c < 4]
@@ -48,30 +46,15 @@ def fixed_quadrature(k, name, nodes):
     return UniformScheme(nodes, around, 18, 0.95 * common.largest_ratio(k, nodes), upsampling)
 
 
-def measure(k, name, nodes, polynomial, table):
-    """Add errors of the density at its nodes and of the motion, and the time of a solution."""
+def measure(k, name, nodes, polynomial):
+    """Errors of the density at its nodes and of the motion, and the time of a solution."""
     scheme = fixed_quadrature(k, name, nodes)
     begin = time.perf_counter()
     monomials, density = solution(k, scheme)
     spent = time.perf_counter() - begin
     exact = monomials @ polynomial
-    table.add(
-        aspect_ratio=k, scheme=name, n_theta=nodes,
-        density_error=np.abs(density - exact).max() / np.abs(exact).max(),
-        motion_error=true_error(plain_body(qs.Spheroid(k), scheme).model), time=spent,
-    )  # fmt: skip
-
-
-def draw(table, curves):
-    """Error of the density over its nodes."""
-    with common.figure("qbx_density_nodes", style.COLUMN, 2.9) as figure:
-        panel = figure.subplots()
-        for index, (k, name) in enumerate(curves):
-            part = table.where(aspect_ratio=k, scheme=name)
-            panel.semilogy(part["n_theta"], part["density_error"], label=f"$k={k:g}$, {name}",
-                           **style.line_style(index, markers=True))  # fmt: skip
-        panel.set(xticks=(5, 10, 15, 20), xlabel=r"$n_\vartheta$", ylabel="error of the density")
-        panel.legend(fontsize=7)
+    error = np.abs(density - exact).max() / np.abs(exact).max()
+    return {"density_error": error, "motion_error": formed(k, scheme)[1], "time": spent}
 
 
 @common.command
@@ -85,7 +68,8 @@ def main(small=False):
         polynomial, *_ = np.linalg.lstsq(monomials, density, rcond=1e-12)
         for name in ("uniform", "graded"):
             for nodes in numbers:
-                measure(k, name, nodes, polynomial, table)
+                row = measure(k, name, nodes, polynomial)
+                table.add(aspect_ratio=k, scheme=name, n_theta=nodes, **row)
     table.write()
     print("Error of the density / of force and motion / set-up and solve (s)")
     common.markdown(
@@ -94,7 +78,13 @@ def main(small=False):
                     f"{row['time']:.2f}" for row in table.where(n_theta=n).rows))
          for n in numbers],
     )  # fmt: skip
-    draw(table, curves)
+    with common.figure("qbx_density_nodes", style.COLUMN, 2.9) as (panel,):
+        common.labelled(panel, r"$n_\vartheta$", "error of the density", "y")
+        for index, (k, name) in enumerate(curves):
+            part, look = table.where(aspect_ratio=k, scheme=name), style.line_style(index, True)
+            panel.plot(part["n_theta"], part["density_error"], label=f"$k={k:g}$, {name}", **look)
+        panel.set_xticks((5, 10, 15, 20))
+        panel.legend(fontsize=7)
     graded, uniform = (table.where(aspect_ratio=0.5, scheme=name) for name in ("graded", "uniform"))
     return {
         "graded, fewest nodes, motion": graded["motion_error"][0],

@@ -72,24 +72,22 @@ def measure(k, name, count, each):
 
 def draw(each, ratios):
     """Errors over the tilt of the axis, a panel per aspect ratio."""
-    with common.figure("qbx_orientations", style.PAGE, 3.1) as figure:
-        panels = figure.subplots(1, len(ratios), squeeze=False)[0]
+    with common.figure("qbx_orientations", style.PAGE, 3.1, 1, len(ratios)) as panels:
         for panel, k in zip(panels, ratios, strict=True):
             for (color, _, marker), name in zip(style.LINES, SCHEMES, strict=False):
-                part = each.where(aspect_ratio=k, scheme=name)
-                look = {"color": color, "markersize": 2.5}
+                part, look = each.where(aspect_ratio=k, scheme=name), {"color": color}
                 panel.plot(part["tilt"], part["force"], marker, label=name, **look)
-                panel.plot(part["tilt"], part["angular_velocity"], marker,
-                           markerfacecolor="none", **look)  # fmt: skip
-            panel.set(yscale="log", ylim=(1e-17, 1e-2), xlabel="tilt of the axis (deg)")
+                look["markerfacecolor"] = "none"
+                panel.plot(part["tilt"], part["angular_velocity"], marker, **look)
+            common.labelled(panel, "tilt of the axis (deg)", "", "y")
+            panel.set_ylim(1e-17, 1e-2)
             panel.set_title(f"$k={k:g}$", loc="left")
         panels[0].set_ylabel("relative error")
         for text, face in (("force, held", style.BLACK), ("angular velocity, free", "none")):
-            panels[0].plot([], [], "o", color=style.BLACK, markerfacecolor=face, markersize=2.5,
-                           label=text)  # fmt: skip
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncol=6,
-                      handlelength=1.0)  # fmt: skip
-        style.letter_panels(list(panels))
+            look = {"color": style.BLACK, "markerfacecolor": face, "label": text}
+            panels[0].plot([], [], "o", **look)
+        names = panels[0].get_legend_handles_labels()
+        panels[0].figure.legend(*names, loc="outside upper left", ncol=6, handlelength=1.0)
 
 
 @common.command

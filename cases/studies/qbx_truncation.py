@@ -9,18 +9,16 @@ Expected: least errors of 4.4e-2, 6.6e-3 and 1.3e-5 for kappa = 4, 8 and 16, at 
           the largest radius each.
 """
 
-import time
 from dataclasses import dataclass
 
 import common
 import numpy as np
-from common import Table, power
+from common import Table, formed, power
 
 import qbxstokes as qs
-from qbxstokes.bie.accuracy import model_distance, plain_body
+from qbxstokes.bie.accuracy import model_distance
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import GradedScheme, UniformScheme
-from qbxstokes.simulation.closed_forms import true_error
 
 BODY, N_THETA = qs.Spheroid(0.5), 14
 
@@ -49,61 +47,50 @@ def measure(r_over_h, order, upsamplings, table):
             scheme = common.uniform(BODY.aspect_ratio, N_THETA, order, r_over_h, kappa)
             if kappa == upsamplings[0]:
                 exact = Resolved(N_THETA, order, 1.0, 16, 0.7, "average", False, scheme)
-                resolved = plain_body(BODY, exact).model
-            begin = time.perf_counter()
-            model = plain_body(BODY, scheme).model
-            row["time"] = time.perf_counter() - begin
-            row |= {"error": true_error(model), "truncation": true_error(resolved),
-                    "quadrature": model_distance(model, resolved)}  # fmt: skip
+                resolved, truncation, _ = formed(BODY.aspect_ratio, exact)
+            model, error, spent = formed(BODY.aspect_ratio, scheme)
+            row = {"error": error, "truncation": truncation, "time": spent}
+            row["quadrature"] = model_distance(model, resolved)
         table.add(upsampling=kappa, r_over_h=r_over_h, expansion_order=order, **row)
 
 
-def draw_valley(table, upsamplings, ratios):
-    """The valley between truncation and quadrature, a panel per upsampling."""
-    with common.figure("qbx_valley", style.PAGE, 2.7) as figure:
-        panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
-        shown = [*ratios[:1], *ratios[max(1, len(ratios) - 3) :]]
+def draw(table, upsamplings, ratios):
+    """The valley between truncation and quadrature; error over radius and order, as a map."""
+    shown = [*ratios[:1], *ratios[max(1, len(ratios) - 3) :]]
+    with common.figure("qbx_valley", style.PAGE, 2.7, 1, len(upsamplings), "$r/h$",
+                       sharey=True) as panels:  # fmt: skip
         for panel, kappa in zip(panels, upsamplings, strict=True):
             for (color, *_), ratio in zip(style.LINES, shown, strict=False):
                 part = table.where(upsampling=kappa, r_over_h=ratio)
-                p = part["expansion_order"]
-                panel.plot(p, part["error"], "o", color=color, markersize=3, label=f"{ratio:.2f}")
-                panel.plot(p, part["truncation"], color=color)
-                panel.plot(p, part["quadrature"], color=color, linestyle=(0, (3, 1.5)))
-            panel.set(yscale="log", ylim=(1e-13, 10.0), xlabel="expansion order $p$")
+                p, look = part["expansion_order"], {"color": color}
+                panel.plot(p, part["error"], "o", markersize=3, label=f"{ratio:.2f}", **look)
+                panel.plot(p, part["truncation"], **look)
+                panel.plot(p, part["quadrature"], linestyle=(0, (3, 1.5)), **look)
+            common.labelled(panel, "expansion order $p$", "", "y")
+            panel.set_ylim(1e-13, 10.0)
             panel.set_title(rf"$\kappa = {kappa}$", loc="left")
         panels[0].set_ylabel("relative error")
-        for text, look in (("truncation", "solid"), ("quadrature", (0, (3, 1.5)))):
+        for text, look in (("truncation", "-"), ("quadrature", (0, (3, 1.5)))):
             panels[0].plot([], [], color=style.BLACK, linestyle=look, label=text)
         panels[0].plot([], [], "o", color=style.BLACK, markersize=3, label="total")
-        figure.legend(*panels[0].get_legend_handles_labels(), title="$r/h$",
-                      loc="outside right center")  # fmt: skip
-        style.letter_panels(list(panels))
-
-
-def draw_map(table, upsamplings):
-    """Error over radius and order, a panel per upsampling, with a line per decade."""
-    with common.figure("qbx_map", style.PAGE, 2.5) as figure:
-        panels = figure.subplots(1, len(upsamplings), sharey=True, squeeze=False)[0]
+    forbidden = {"facecolor": "#f2f2f2", "edgecolor": style.GREY, "hatch": "////", "linewidth": 0}
+    with common.figure("qbx_map", style.PAGE, 2.5, 1, len(upsamplings), sharey=True) as panels:
         ratios, orders = (np.unique(table[name]) for name in ("r_over_h", "expansion_order"))
         for panel, kappa in zip(panels, upsamplings, strict=True):
             part = table.where(upsampling=kappa)
             errors = part["error"].reshape(len(ratios), len(orders)).T
-            mesh = panel.pcolormesh(ratios, orders, errors, norm="log", vmin=1e-5, vmax=10.0,
-                                    shading="nearest")  # fmt: skip
-            panel.contour(ratios, orders, errors, 10.0 ** np.arange(-4.0, 1.0), colors="white",
-                          linewidths=0.7)  # fmt: skip
+            look = {"norm": "log", "vmin": 1e-5, "vmax": 10.0, "shading": "nearest"}
+            mesh = panel.pcolormesh(ratios, orders, errors, **look)
+            decades = 10.0 ** np.arange(-4.0, 1.0)
+            panel.contour(ratios, orders, errors, decades, colors="white", linewidths=0.7)
             best = part.rows[np.nanargmin(part["error"])]
-            panel.plot(best["r_over_h"], best["expansion_order"], "*", color="white",
-                       markersize=9, markeredgecolor=style.BLACK)  # fmt: skip
-            panel.axvspan(0.5 * (ratios[-2] + ratios[-1]), panel.get_xlim()[1],
-                          facecolor="#f2f2f2", edgecolor=style.GREY, hatch="////",
-                          linewidth=0.0)  # fmt: skip
+            star = {"color": "white", "markersize": 9, "markeredgecolor": style.BLACK}
+            panel.plot(best["r_over_h"], best["expansion_order"], "*", **star)
+            panel.axvspan(0.5 * (ratios[-2] + ratios[-1]), panel.get_xlim()[1], **forbidden)
             panel.set_xlabel("$r/h$")
             panel.set_title(rf"$\kappa = {kappa}$", loc="left")
         panels[0].set_ylabel("expansion order $p$")
-        figure.colorbar(mesh, ax=list(panels), label="relative error", pad=0.01)
-        style.letter_panels(list(panels))
+        panels[0].figure.colorbar(mesh, ax=panels, label="relative error", pad=0.01)
 
 
 @common.command
@@ -130,8 +117,7 @@ def main(small=False):
           *(power(row[name]) for name in ("error", "truncation", "quadrature")),
           f"{row['time']:.2f}") for row in best],
     )  # fmt: skip
-    draw_valley(table, upsamplings, ratios[:-1])
-    draw_map(table, upsamplings)
+    draw(table, upsamplings, ratios[:-1])
     found = {}
     for kappa in upsamplings:
         row = min((r for r in best if r["upsampling"] == kappa), key=lambda r: r["error"])

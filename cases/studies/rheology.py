@@ -2,8 +2,8 @@
 
 Intrinsic viscosity and normal stress differences of rods and discs, their limits over the aspect
 ratio, and what has been published: tables and formulas of viscosities at small and at large Peclet
-numbers, Jeffery's least ones, series and asymptotes of rigid dumbbells, the density in a flow
-without vorticity, the one relaxation time of small oscillations.
+numbers, Jeffery's least ones, series and asymptotes of rigid dumbbells. (The density in a flow
+without vorticity, and the one relaxation time of small oscillations: tests/test_rheology.py.)
 
 Papers:   A. Einstein 1911, Ann. Phys. 339, 591; G. B. Jeffery 1922, Proc. R. Soc. A 102, 161; R.
           Simha 1940, J. Phys. Chem. 44, 25; J. W. Mehl, J. L. Oncley & R. Simha 1940, Science 92,
@@ -21,8 +21,8 @@ Expected: a sphere 2.5; rods of 2, 5, 10 and 25 to one 2.908, 5.806, 13.63, 55.1
           Stewart & Sorensen have 0.678 and 1.20; Hinch & Leal's factors of slender rods to 0.9 %
           (Batchelor's A among them), of discs to 3.4 %, of near spheres to 0.02 %, with which
           Leal & Hinch's constitutive equations have near spheres' loss of
-          viscosity 0.3 e^2, N1 = 0.6 e^2 and N2 = -N1/7 at Pe = 6 to 0.03 %; extension and
-          small oscillations to 1e-7; N1 > 0 > N2 everywhere.
+          viscosity 0.3 e^2, N1 = 0.6 e^2 and N2 = -N1/7 at Pe = 6 to 0.03 %; N1 > 0 > N2
+          everywhere.
 """
 
 import functools
@@ -46,6 +46,7 @@ PROLATE |= {20: 38.6, 25: 55.2, 30: 74.5, 40: 120.8, 50: 176.5}
 OBLATE = {2: 2.85, 3: 3.43, 4: 4.06, 5: 4.71, 6: 5.36, 8: 6.70, 10: 8.04, 12: 9.39, 15: 11.42}
 OBLATE |= {20: 14.80, 25: 18.19, 30: 21.6}
 NAMES = ("intrinsic_viscosity", "first_normal_stress_difference", "second_normal_stress_difference")
+STARTS = {"rolling": [0, 0, 1], "tumbling": [1, 0, 0], "isotropic": "isotropic"}
 
 
 def simha(r):
@@ -111,67 +112,20 @@ def near_sphere(number, small=0.02):
     return (means[:, 0] / small**2).tolist()
 
 
-def extension(k, number):
-    """Relative error of <pp> in uniaxial extension against psi ~ exp(lambda Pe p.E.p/2)."""
-    flow = qs.flow("polynomial", gradient=np.diag([-0.5, -0.5, 1.0]).tolist())
-    found = qs.rheology(body(k), flow, number)
-    z, weights = np.polynomial.legendre.leggauss(400)
-    linear = (1.0 - k * k) / (1.0 + k * k)
-    # The rate is sqrt(2 E:E) = sqrt(3), and p.E.p = (3 z^2 - 1)/2.
-    density = weights * np.exp(0.75 * linear * number / math.sqrt(3.0) * (z * z - 1.0))
-    exact = float(np.sum(density * z * z) / np.sum(density))
-    return abs(float(found.order_tensor[2, 2]) / exact - 1.0)
-
-
-def curves(ratios, numbers, found):
-    """Material functions of bodies k over Peclet numbers."""
-    for k in ratios:
-        result = qs.rheology(body(k), SHEAR, numbers)
-        for index, number in enumerate(numbers):
-            values = {name: float(getattr(result, name)[index]) for name in NAMES}
-            found.add(aspect_ratio=k, peclet_number=number, **values)
-
-
-def limits(ratios, found):
-    """[eta] at small Pe, and over orbits: rolling, tumbling, isotropic at first."""
-    starts = {"rolling": [0, 0, 1], "tumbling": [1, 0, 0], "isotropic": "isotropic"}
-    for k in ratios:
-        orbits = {name: viscosity(k, np.inf, orientations=start) for name, start in starts.items()}
-        found.add(aspect_ratio=k, at_rest=viscosity(k, 1e-6), **orbits)
-
-
-def oscillation(k):
-    """Relative error of the complex viscosity at w = 6 D against one relaxation time."""
-    result = qs.rheology(body(k), SHEAR, 0.006, protocol="oscillation", amplitude=1e-3)
-    facts = result.summary
-    phase = np.exp(-1j * facts["frequency"] * result.time[:-1])
-    measured = 2.0 * np.mean(result.intrinsic_viscosity[:-1] * phase)
-    low, high = facts["viscosity_of_isotropic"], facts["viscosity_at_rest"]
-    exact = low + (high - low) / (1.0 + 1j * facts["frequency"] * 0.006 / 6.0)
-    return float(abs(measured / exact - 1.0))
-
-
 def draw(table, ends):
     """Material functions over Pe, and the limits of [eta] over k."""
-    with common.figure("rheology", style.PAGE, 4.6) as drawn:
-        panels = np.ravel(drawn.subplots(2, 2))
-        for axes, name, symbol in zip(panels, NAMES, (r"[\eta]", "N_1", "N_2"), strict=False):
+    with common.figure("rheology", style.PAGE, 4.6, 2, 2) as panels:
+        for axes, name, symbol in zip(panels, NAMES, (r"[\eta]", "N_1", "-N_2"), strict=False):
+            common.labelled(axes, r"Peclet number $\mathrm{Pe}$", f"${symbol}$", "xy")
             for index, k in enumerate(np.unique(table["aspect_ratio"]).tolist()):
-                rows = table.where(aspect_ratio=k)
-                look = style.line_style(index)
-                values = np.abs(rows[name])
-                axes.loglog(rows["peclet_number"], values, label=f"$k = {k:g}$", **look)
-            sign = "-" if name == NAMES[2] else ""
-            axes.set_ylabel(f"${sign}{symbol}$")
-            axes.set_xlabel(r"Peclet number $\mathrm{Pe}$")
+                rows, look = table.where(aspect_ratio=k), style.line_style(index)
+                axes.plot(rows["peclet_number"], abs(rows[name]), label=f"$k = {k:g}$", **look)
+        common.labelled(panels[3], "aspect ratio $k$", r"$[\eta]$", "xy")
+        for index, name in enumerate(("at_rest", *STARTS)):
+            look = {"label": name.replace("_", " "), **style.line_style(index)}
+            panels[3].plot(ends["aspect_ratio"], ends[name], **look)
         style.legend_above(panels[0], columns=3)
-        for index, name in enumerate(("at_rest", "rolling", "tumbling", "isotropic")):
-            look = style.line_style(index)
-            panels[3].loglog(ends["aspect_ratio"], ends[name], label=name.replace("_", " "), **look)
-        panels[3].set_xlabel("aspect ratio $k$")
-        panels[3].set_ylabel(r"$[\eta]$")
         style.legend_above(panels[3], columns=2)
-        style.letter_panels(panels)
 
 
 def published(small):
@@ -237,15 +191,20 @@ def main(small):
     ends = Table("rheology_limits", "intrinsic viscosities at small Peclet number and on orbits")
     ratios = [0.2, 5.0] if small else [1 / 25, 0.1, 0.2, 0.5, 2.0, 5.0, 25.0]
     numbers = np.logspace(-1, 3, 5 if small else 33).tolist()
-    curves(ratios, numbers, table)
-    limits(np.geomspace(1 / 25, 25, 5 if small else 25).tolist(), ends)
+    for k in ratios:
+        found = qs.rheology(body(k), SHEAR, numbers)
+        columns = [getattr(found, name).tolist() for name in NAMES]
+        for number, *values in zip(numbers, *columns, strict=True):
+            named = dict(zip(NAMES, values, strict=True))
+            table.add(aspect_ratio=k, peclet_number=number, **named)
+    for k in np.geomspace(1 / 25, 25, 5 if small else 25).tolist():
+        orbits = {name: viscosity(k, np.inf, orientations=start) for name, start in STARTS.items()}
+        ends.add(aspect_ratio=k, at_rest=viscosity(k, 1e-6), **orbits)
     table.write()
     ends.write()
     draw(table, ends)
     return {
         **published(small),
-        "extension, relative": max(extension(k, 20.0) for k in (0.2, 5.0)),
-        "small oscillations, relative": oscillation(0.2),
         "smallest N1": table[NAMES[1]].min(),
         "largest N2": table[NAMES[2]].max(),
     }

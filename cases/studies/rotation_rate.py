@@ -1,7 +1,7 @@
 """Mean rotation rate in the plane of shear: from Jeffery's tumbling to nearly uniform rotation.
 
 Bodies tumble in the plane of shear u = (x2, 0, 0) at Stokes numbers through their transition,
-against periodic solutions of the equation of the axis (qbxstokes/reference/heavy.py).
+against periodic solutions of the equation of the axis (heavy.py).
 
 Papers:   F. Lundell & A. Carlsson 2010, Phys. Rev. E 81, 016323; J. Bagge 2015, KTH, chapter 8.
 Run:      python cases/studies/rotation_rate.py      (20 s)
@@ -14,8 +14,8 @@ import math
 import common
 import heavy
 import numpy as np
-from common import Table
-from motions import SHEAR, TRANSIENT, averages, body, groups, labelled, orbit
+from common import Table, labelled
+from motions import SHEAR, TRANSIENT, averages, body, groups, orbit
 from scipy.optimize import brentq
 
 import qbxstokes as qs
@@ -80,8 +80,8 @@ def half_turn(k, stokes):
 
 def draw(rates, transitions, small):
     """A turn, rate against St, its collapse over St J1/R1, and the transition against k."""
-    with common.figure("rotation_rate", style.PAGE, 4.8) as figure:
-        turn, raw, collapsed, place = panels = figure.subplots(2, 2).ravel()
+    with common.figure("rotation_rate", style.PAGE, 4.8, 2, 2) as panels:
+        turn, raw, collapsed, place = panels
         labelled(turn, r"angle from the stream$\,/\,\pi$", r"angular speed$\,/\,$shear rate")
         labelled(raw, r"Stokes number $\mathrm{St}$", r"mean rotation rate$\,/\,$shear rate", "x")
         labelled(collapsed, r"$t=\mathrm{St}\,J_1/R_1$", "part of the way to 1/2", "x")
@@ -106,7 +106,8 @@ def draw(rates, transitions, small):
         raw.set_ylim(0.0, 0.52)
         for panel in (turn, collapsed):
             panel.axhline(0.5, color=style.GREY, linewidth=0.6, zorder=0)
-        figure.legend(*raw.get_legend_handles_labels(), title="$k$", loc="outside right center")
+        names = raw.get_legend_handles_labels()
+        raw.figure.legend(*names, title="$k$", loc="outside right center")
         place.plot(*(transitions[name] for name in ("aspect_ratio", "transition")), "o",
                    color=style.BLUE, label="runs")  # fmt: skip
         prolate = np.geomspace(0.1, 0.9, 2 if small else 9)
@@ -114,7 +115,6 @@ def draw(rates, transitions, small):
             curve = [halfway(k)[0] for k in ratios.tolist()]
             place.plot(ratios, curve, color=style.GREY, label=label, zorder=0)
         place.legend(handlelength=1.2)
-        style.letter_panels(list(panels))
 
 
 @common.command

@@ -17,8 +17,8 @@ import math
 import common
 import heavy
 import numpy as np
-from common import Table, power
-from motions import SHEAR, axes, body, cross, labelled, orbit, paraboloid
+from common import Table, labelled, power
+from motions import SHEAR, axes, body, cross, orbit, paraboloid
 
 import qbxstokes as qs
 from qbxstokes.plots import style
@@ -72,19 +72,14 @@ def in_plane(k, stokes, found):
 
 def draw(massless, heavy_ones):
     """Error of the axis in shear against aspect ratio and Stokes number."""
-    with common.figure("validation", style.PAGE, 2.8) as figure:
-        panels = figure.subplots(1, 2)
-        labelled(panels[0], "aspect ratio $k$", "error of the axis", "xy")
-        labelled(panels[1], r"Stokes number $\mathrm{St}$", "error of the axis", "xy")
-        for panel, table, x, by, name in (
-            (panels[0], massless, "aspect_ratio", "orbit_constant", "C"),
-            (panels[1], heavy_ones, "stokes_number", "aspect_ratio", "k"),
+    with common.figure("validation", style.PAGE, 2.8, 1, 2) as panels:
+        common.curves(panels[0], massless, "aspect_ratio", "axis", "orbit_constant", "$C={:g}$")
+        common.curves(panels[1], heavy_ones, "stokes_number", "axis", "aspect_ratio", "$k={:g}$")
+        for panel, x in zip(
+            panels, ("aspect ratio $k$", r"Stokes number $\mathrm{St}$"), strict=True
         ):
-            for index, value in enumerate(np.unique(table[by]).tolist()):
-                curve, look = table.where(**{by: value}), style.line_style(index, markers=True)
-                panel.plot(curve[x], curve["axis"], label=f"${name}={value:g}$", **look)
+            labelled(panel, x, "error of the axis", "xy")
             style.legend_above(panel, columns=3)
-        style.letter_panels(list(panels))
 
 
 @common.command

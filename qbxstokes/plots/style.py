@@ -361,7 +361,9 @@ def _lay_out(figure: Figure) -> None:
             axes.yaxis.get_tightbbox(renderer)  # puts the label where the ticks leave off
             left.setdefault(round(axes.get_position().x0, 6), []).append(axes)
     for column in left.values():
-        place = min(axes.yaxis.label.get_position()[0] for axes in column)
+        labels = [axes.yaxis.label for axes in column]
+        # In pixels, also where an earlier file has put the label at a part of the axes.
+        place = min(t.get_transform().transform(t.get_position())[0] for t in labels)
         for axes in column:
             axes.yaxis.set_label_coords((place - axes.bbox.x0) / axes.bbox.width, 0.5)
 
