@@ -302,6 +302,9 @@ def test_the_task_says_what_python_says(rod: qs.Body, tmp_path: Path) -> None:
     np.testing.assert_allclose(result.order_tensor, found.order_tensor, atol=1e-12)
     assert result.distribution.shape == (2, 7, 12)
     assert result.summary["errors"]["stresslet"] < 1e-10
+    many = {"peclet_number": {"logspace": [1, 100], "count": 3}, "distribution": [5, 8]}
+    spaced = qs.run({**CASE, "rheology": many})
+    np.testing.assert_allclose(spaced.peclet_number, [1.0, 10.0, 100.0])
 
 
 def test_tables_for_others(tmp_path: Path) -> None:

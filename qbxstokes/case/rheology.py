@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
 from qbxstokes.case.model import (
     NAME,
     VECTOR,
@@ -19,6 +21,7 @@ from qbxstokes.case.model import (
     switch,
     whole,
 )
+from qbxstokes.case.sweep import Rule
 from qbxstokes.case.values import Problem, describe, increasing, or_infinite
 
 ISOTROPIC = "isotropic"
@@ -28,10 +31,15 @@ _MANY = some(number(or_infinite, gt=0))
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
+    if isinstance(value, dict):
+        if not {"linspace", "logspace"} & value.keys():
+            right = "numbers, such as [0.1, 10, inf], or {logspace: [0.1, 100], count: 7}"
+            raise Problem(f"is {describe(value)}", right)
+        value = np.asarray(Rule.read(value).column(("peclet_number",)).values).tolist()
     return tuple(_MANY.read(value if isinstance(value, (list, tuple)) else [value]))
 
 
-NUMBERS = Reader(_numbers, {"anyOf": [{"type": ["number", "string"]}, _MANY.json]})
+NUMBERS = Reader(_numbers, {"anyOf": [{"type": ["number", "string", "object"]}, _MANY.json]})
 _FORMS: dict[str, Any] = {
     "aligned": pointing(VECTOR),
     "orbits": some(number(or_infinite, ge=0)),
@@ -93,7 +101,9 @@ class RheologySection(Section):
         "history of the flow: steady, from rest, stopped after steady, or back and forth", "steady"
     )
     peclet_number: Annotated[tuple[float, ...], NUMBERS] = key(
-        "rate of the flow, sqrt(2 E:E), over rotary diffusivity: numbers, or inf", (10.0,)
+        "rate of the flow, sqrt(2 E:E), over rotary diffusivity: numbers, or inf, or {linspace | "
+        "logspace: [a, b], count: n}",
+        (10.0,),
     )
     amplitude: Positive | None = key(
         "strain amplitude of an oscillation; its product with the frequency is the rate", None, 2.0
