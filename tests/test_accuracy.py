@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import script
 from scenes import examine, random_sample
 
 import qbxstokes as qs
@@ -239,13 +238,6 @@ def test_solve_functional_and_table_agree():
     for a, b, c in zip(solved, same, other, strict=True):
         assert np.allclose(a, b, rtol=1e-11, atol=1e-13)
         assert np.allclose(a, c, rtol=1e-8)
-
-
-@pytest.mark.parametrize("k", [pytest.param(0.1, marks=pytest.mark.slow), 4.0])
-def test_every_skip_changes_no_more_than_rounding(k):
-    for name, full, short in script("benchmarks/skips").skips(k):
-        before, after = full(), short()
-        assert np.max(np.abs(before - after)) < 1e-11 * np.max(np.abs(before)), name
 
 
 @pytest.mark.parametrize(("order", "kappa"), [(2, 4), (12, 4), (12, 2)])

@@ -6,8 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import script
-from ellipsoid_flows import straining_flow
+from ellipsoid_flows import straining_flow, translating_flow
 
 import qbxstokes as qs
 from qbxstokes.bie.exterior import INSIDE, ExteriorField
@@ -21,8 +20,6 @@ from qbxstokes.qbx.exterior import WHAT
 from qbxstokes.qbx.operator import GradedScheme
 from qbxstokes.reference import faxen
 from qbxstokes.reference.stress import stresslet_numbers
-
-translating_flow = script("benchmarks/translation").translating_flow
 
 SHAPES = [1 / 50, 0.5, 2.0, 50.0]
 SPIN = np.array([[0.0, -0.7, 0.4], [0.7, 0.0, -1.1], [-0.4, 1.1, 0.0]])

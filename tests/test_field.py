@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import script
+from ellipsoid_flows import translating_flow
 
 import qbxstokes as qs
 from qbxstokes.bie.exterior import INSIDE, TABLE, resolving_grid, surface_map
@@ -27,8 +27,6 @@ from qbxstokes.qbx.exterior import WHAT, SurfaceToExterior
 from qbxstokes.qbx.operator import GradedScheme, layer_rows
 from qbxstokes.qbx.volume import METHODS, LayerPotentials
 from qbxstokes.reference import faxen
-
-translating_flow = script("benchmarks/translation").translating_flow
 
 SHAPES = [1 / 20, 1 / 2, 1.0, 2.0, 20.0]
 NOBODY = lambda x: np.zeros_like(x)  # noqa: E731

@@ -1,21 +1,22 @@
-"""What the plan leaves out (`--explain`): change of the result, and the time that it saves.
+"""What the plan leaves out (`--explain`): no change of the result, and the time that it saves.
 
-k = 1/2, hydrodynamics to 1e-10; processor times (ms) of this thread.
-
-Run:      python cases/benchmarks/skips.py      (1 min; --small: 10 s; --csv)
-Expected: no change beyond rounding; 1.1 times faster without modes above 1 and without the
-          resistance, 2 by mirror symmetry, 4 to 5 without outer expansions, 2 to 3 at a step or a
-          right-hand side.
+k = 1/2 or thinner, hydrodynamics to 1e-10; processor times of this thread, of which the run tells
+the ratio. Expected: 1.1 times faster without modes above 1 and without the resistance, 2 by mirror
+symmetry, 4 to 5 without outer expansions, 2 to 3 at a step or a right-hand side.
 """
 
+from __future__ import annotations
+
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from measure import command, timed
+import pytest
+from conftest import script
+from numpy.typing import NDArray
 
 from qbxstokes.bie.accuracy import accurate_body, choose_scheme
 from qbxstokes.bie.faxen import faxen_coefficients
@@ -32,27 +33,30 @@ from qbxstokes.petsc import session
 from qbxstokes.qbx.operator import independent_rows, layer_rows
 from qbxstokes.reference import jeffery
 
+Array = NDArray[np.float64]
 Work = Callable[[], Any]
+Skip = tuple[str, Work, Work]
+timed = script("benchmarks/measure").timed
 BLOCK, CALLS = 512, 1000  # bodies of a block, right-hand sides timed together
 Q = rotation.normalize(np.array([[0.8, 0.3, -0.4, 0.33]]))
 
 
-def set_up_skips(k):
+def set_up_skips(k: float) -> Iterator[Skip]:
     """Those of the set-up: name, the work without the skip, the work with it."""
     spheroid, scheme = Spheroid(k), choose_scheme(1e-10)
     both = replace(choose_scheme(1e-10, side="average"), n_theta=scheme.n_theta)
     half = independent_rows(spheroid, scheme.n_theta)
 
-    def whole(completion):
+    def whole(completion: Any) -> Array:
         faxen = accurate_body(spheroid, 1e-10, strict=False, completion=completion).model.faxen
         return np.concatenate([[faxen.linear], faxen.quadratic, faxen.cubic])
 
-    def formed(n_phi, used):
+    def formed(n_phi: int, used: Any) -> Array:
         functional = modal_functional(surface_operators(spheroid, used, n_phi))
         coefficients, _ = faxen_coefficients(functional)
         return np.concatenate([coefficients.quadratic, coefficients.cubic])
 
-    def rows(chosen):
+    def rows(chosen: Any) -> Array:
         return layer_rows(spheroid, scheme, 2, chosen)[0][: len(half)]
 
     narrow = partial(formed, 3, scheme)
@@ -63,11 +67,11 @@ def set_up_skips(k):
     yield "rows that mirror symmetry gives", partial(rows, every), partial(rows, half)
 
 
-def many(rate, start):
+def many(rate: Any, start: Array) -> Work:
     """Many right-hand sides of one body."""
     rows = start[0].tolist()
 
-    def calls():
+    def calls() -> Array:
         for _ in range(CALLS):
             result = rate(0.0, rows)
         return np.array(result)
@@ -75,7 +79,7 @@ def many(rate, start):
     return calls
 
 
-def step_skips(k):
+def step_skips(k: float) -> Iterator[Skip]:
     """Those of a step and of a right-hand side."""
     scheme, x = choose_scheme(1e-10), np.zeros((1, 3))
     operators = surface_operators(Spheroid(k), scheme, 8)
@@ -101,7 +105,7 @@ def step_skips(k):
         yield f"translation at a stagnation point, St = {stokes_number:g}", moving, still
 
 
-def turned(model, stokes_number, stream):
+def turned(model: Any, stokes_number: float, stream: float) -> Array:
     """Orientations of a block after a period; a stream too slow to count lets the bodies move."""
     from qbxstokes.petsc.stepper import integrate
 
@@ -113,21 +117,17 @@ def turned(model, stokes_number, stream):
     return integrate(block, start, [period], 1e-8).states[-1, :, 3:7]
 
 
-def skips(k=0.5):
-    """Name of each skip, the work without it and with it; both give comparable arrays."""
+@pytest.mark.parametrize(
+    "k", [pytest.param(0.1, marks=pytest.mark.slow), pytest.param(0.5, marks=pytest.mark.slow), 4.0]
+)
+def test_every_skip_changes_no_more_than_rounding(
+    k: float, record_property: Callable[[str, object], None]
+) -> None:
     session.start([])
-    yield from set_up_skips(k)
-    yield from step_skips(k)
-
-
-@command
-def main(small=False):
-    """A row per skip."""
-    rows = []
-    for name, full, short in skips():
-        slow, before = timed(full, 1 if small else 7, time.thread_time)
-        fast, after = timed(short, 1 if small else 7, time.thread_time)
+    for name, full, short in (*set_up_skips(k), *step_skips(k)):
+        repeats = 3 if k == 0.5 else 1
+        slow, before = timed(full, repeats, time.thread_time)
+        fast, after = timed(short, repeats, time.thread_time)
         change = float(np.max(np.abs(before - after)) / np.max(np.abs(before)))
-        row = {"skip": name, "without": 1e3 * slow, "skipped": 1e3 * fast}
-        rows.append(row | {"saving": slow / fast, "change": change})
-    return {"skips": rows}
+        assert change < 1e-11, name
+        record_property("worst", f"{slow / fast:5.2f} times faster, change {change:.0e}: {name}")
