@@ -122,8 +122,10 @@ def require_stokesian(part: Simulation, place: Array, t: float) -> None:
     try:
         if part.recognised is not None:
             part.recognised.require_stokesian(t, radius)
-        elif not seems_stokesian(part.flow, place, radius, t):
-            check_stokesian(part.flow, place, radius=radius, t=t)
+            return
+        local = part.body.settings.derivatives is not None
+        if not seems_stokesian(part.flow, place, radius, t, local):
+            check_stokesian(part.flow, place, radius=radius, t=t, local=local)
     except FlowFunctionError:
         return
     except FlowError as error:

@@ -242,7 +242,11 @@ class Simulation:
             right = "move the body or the singular point"
             raise SceneError("start.position", str(error), right) from None
         try:
-            check_stokesian(flow, self.position[0], radius=2.0 * shape.radius)
+            degree = self.body.settings.derivatives
+            local = degree is not None
+            check_stokesian(flow, self.position[0], radius=2.0 * shape.radius, local=local)
+            if degree is not None:
+                flow.expansion(self.position[:1], 0.0, degree)
         except FlowError as error:
             raise SceneError(".".join(map(str, ("flow", *error.key))), str(error)) from None
         if flow.singular_points_known:
