@@ -167,7 +167,7 @@ SWEEP_FAILS = [
     "qbxstokes.runs.sweep:todo_of",
     "qbxstokes.runs.block:compute_block",
     "qbxstokes.io.sweep_result:put_rows",
-    "qbxstokes.io.store:write_whole full",
+    "qbxstokes.io.store:write_part full",
     "qbxstokes.runs.sweep_blocks:Scenes.scene",
 ]
 MOTION_FAILS = [

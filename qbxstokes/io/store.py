@@ -31,6 +31,7 @@ from qbxstokes.io.format import first_difference
 from qbxstokes.io.lock import LOCK, locked
 from qbxstokes.io.names import numbered, parts_of
 from qbxstokes.io.results import shows_parts
+from qbxstokes.io.writer import whole_file
 from qbxstokes.typing import AnyArray
 
 RUN = "run.json"
@@ -40,6 +41,10 @@ _FORMAT = 2  # of what parts and states hold
 NUMBERED = 1000
 
 
+# Arrays by their names; lists are pieces of one, end to end.
+Arrays = Mapping[str, AnyArray | list[AnyArray]]
+
+
 class DamagedPart(Exception):
     """A part that is not whole, or not one of ours."""
 
@@ -47,61 +52,10 @@ class DamagedPart(Exception):
 # -- whole files ----------------------------------------------------------------------------------
 
 
-def write_whole(path: Path, data: bytes | memoryview) -> None:
+def write_whole(path: Path, data: bytes) -> None:
     """Write a file that appears under its name complete or not at all; raises OSError."""
-    temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}.part")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-    try:
-        try:
-            view = memoryview(data)
-            while len(view):
-                view = view[os.write(descriptor, view) :]
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
-    with contextlib.suppress(OSError):  # a file system that does not sync folders
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
-
-def packed(arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> bytes:
-    """Arrays and a note as the bytes of an HDF5 file; damage to either is noticed when reading.
-
-    The note is plain data that may hold arrays, too.
-    """
-    import h5py
-
-    arrays = dict(arrays)
-    note = _taken_out(note, "", arrays)
-    kinds = {
-        name: kind
-        for name, values in arrays.items()
-        for kind in [{"scalar": np.ndim(values) == 0, "text": np.asarray(values).dtype.kind == "U"}]
-        if any(kind.values())
-    }
-    text = json.dumps({"note": note, "kinds": kinds}).encode()
-    with h5py.File(
-        "part", "w", driver="core", backing_store=False, libver=("v110", "v110")
-    ) as file:
-        for name, values in {**arrays, _NOTE: np.frombuffer(text, dtype=np.uint8)}.items():
-            data = np.atleast_1d(values)
-            if data.dtype.kind == "U":
-                data = np.char.encode(data, "utf-8")
-            checked: dict[str, Any] = {}
-            if data.size:
-                checked = {"fletcher32": True, "chunks": data.shape}
-            file.create_dataset(name, data=data, track_times=False, **checked)
-        file.flush()
-        image: bytes = file.id.get_file_image()
-    return image
+    with whole_file(path) as stream:
+        stream.write(data)
 
 
 def _taken_out(value: Any, path: str, arrays: dict[str, AnyArray]) -> Any:
@@ -116,9 +70,41 @@ def _taken_out(value: Any, path: str, arrays: dict[str, AnyArray]) -> Any:
     return value
 
 
-def write_part(path: Path, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
-    """Write a part; raises OSError."""
-    write_whole(path, packed(arrays, note))
+def write_part(path: Path, arrays: Arrays, note: Mapping[str, Any]) -> None:
+    """Arrays and a note as an HDF5 file; damage to either is noticed when reading.
+
+    The note is plain data that may hold arrays, too. Raises OSError.
+    """
+    import h5py
+
+    held: dict[str, Any] = {}
+    note = _taken_out(note, "", held)
+    pieces_of = {
+        name: values if isinstance(values, list) else [np.asarray(values)]
+        for name, values in {**arrays, **held}.items()
+    }
+    kinds = {
+        name: {"scalar": first.ndim == 0, "text": first.dtype.kind == "U"}
+        for name, (first, *_) in pieces_of.items()
+    }
+    text = json.dumps({"note": note, "kinds": kinds}).encode()
+    pieces_of[_NOTE] = [np.frombuffer(text, dtype=np.uint8)]
+    with whole_file(path) as stream, h5py.File(stream, "w", libver=("v110", "v110")) as file:
+        for name, pieces in pieces_of.items():
+            pieces = [np.atleast_1d(piece) for piece in pieces]
+            if pieces[0].dtype.kind == "U":
+                pieces = [np.char.encode(piece, "utf-8") for piece in pieces]
+            first, length = pieces[0], sum(map(len, pieces))
+            checked: dict[str, Any] = {}
+            if first.size:
+                checked = {"fletcher32": True, "chunks": first.shape}
+            data = file.create_dataset(
+                name, (length, *first.shape[1:]), first.dtype, track_times=False, **checked
+            )
+            end = 0
+            for piece in pieces:
+                end += len(piece)
+                data[end - len(piece) : end] = piece
 
 
 def read_part(
@@ -180,7 +166,7 @@ class Work:
 
     # -- what is written ----------------------------------------------------------------------
 
-    def save(self, kind: str, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> Path:
+    def save(self, kind: str, arrays: Arrays, note: Mapping[str, Any]) -> Path:
         """Make finished work safe as a part; raises OutputError."""
         self._count += 1
         name = f"{kind}-{self.run:04d}-{self.writer:05d}-{self._count:06d}{_SUFFIX}"
@@ -195,7 +181,7 @@ class Work:
         """Forget the state of work that is finished."""
         (self.folder / f"state-{name}{_SUFFIX}").unlink(missing_ok=True)
 
-    def _write(self, path: Path, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
+    def _write(self, path: Path, arrays: Arrays, note: Mapping[str, Any]) -> None:
         try:
             write_part(path, arrays, note)
         except OSError as error:

@@ -131,6 +131,10 @@ class SweepWriter(ResultWriter):
 
 def put_rows(data: h5py.Dataset, rows: AnyArray, values: AnyArray) -> None:
     """Write values (m, ...) as the rows (m,) of a dataset, in whatever order."""
+    steps = np.diff(rows)
+    if len(rows) > 1 and steps[0] > 0 and np.all(steps == steps[0]):
+        data[rows[0] : rows[-1] + 1 : steps[0]] = values
+        return
     order = np.argsort(rows)
     for first in range(0, len(rows), _AT_ONCE):
         piece = order[first : first + _AT_ONCE]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -36,7 +36,7 @@ _VECTORS = ("origin", "first", "second")  # of a plane
 _OF_POINTS = {1: ("point",), 2: ("time", "point"), 3: ("time", "line", "sample")}
 
 
-class _PatientFile(io.FileIO):
+class PatientFile(io.FileIO):
     """A file that keeps the first failure of the system to itself until it is asked for.
 
     HDF5 brings the process down when a write fails under it (a full disk); with this file it goes
@@ -51,7 +51,7 @@ class _PatientFile(io.FileIO):
         done = 0
         try:
             while self.failure is None and done < len(view):
-                done += super().write(view[done:])
+                done += os.write(self.fileno(), view[done:])
         except OSError as error:
             self.failure = error
         return len(view)
@@ -73,6 +73,34 @@ class _PatientFile(io.FileIO):
 
 
 @contextmanager
+def whole_file(path: Path, folder: Path | None = None) -> Iterator[PatientFile]:
+    """A file to be filled that appears under its name complete or not at all; raises OSError.
+
+    folder: where it stands until then, beside `path` if None.
+    """
+    temporary = (folder or path.parent) / f".{path.name}.{os.urandom(4).hex()}.part"
+    try:
+        with PatientFile(temporary, "x+") as stream:
+            try:
+                yield stream
+            except OSError as error:
+                raise stream.failure or error from None
+            if stream.failure is not None:
+                raise stream.failure
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    with suppress(OSError):  # a file system that does not sync folders
+        opened = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+@contextmanager
 def whole_hdf5(path: Path, folder: Path | None = None, **options: Any) -> Iterator[h5py.File]:
     """An HDF5 file to be filled, which then takes the place of what was at `path`.
 
@@ -80,22 +108,11 @@ def whole_hdf5(path: Path, folder: Path | None = None, **options: Any) -> Iterat
     """
     import h5py
 
-    temporary = temporary_name(path, folder)
-    failure: OSError | None = None
     try:
-        with _PatientFile(temporary, "w+") as stream:
-            with h5py.File(stream, "w", **options) as file:
-                yield file
-            failure = stream.failure
-            os.fsync(stream.fileno())
-        if failure is None:
-            os.replace(temporary, path)
+        with whole_file(path, folder) as stream, h5py.File(stream, "w", **options) as file:
+            yield file
     except OSError as error:
-        failure = failure or error
-    finally:
-        temporary.unlink(missing_ok=True)
-    if failure is not None:
-        raise OutputError(f"{path}: cannot be written ({failure.strerror or failure})") from None
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 class ResultWriter:
@@ -123,7 +140,7 @@ class ResultWriter:
         self.axes: dict[str, tuple[str, ...]] = {}
         self.temporary = temporary_name(path, folder)
         try:
-            self.stream = _PatientFile(self.temporary, "w+")
+            self.stream = PatientFile(self.temporary, "w+")
         except OSError as error:
             raise CaseError(f"{path}: cannot be created ({error.strerror})") from None
         self.file: h5py.File = h5py.File(self.stream, "w", libver=("v110", "v110"))

@@ -10,8 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.store import DamagedPart, Work, read_part
@@ -61,7 +59,7 @@ class Gathering:
         """Make what there is safe; raises OutputError."""
         held, told = [arrays for arrays, _ in self._items], [note for _, note in self._items]
         if self._joined and held:
-            rows = {name: np.concatenate([part[name] for part in held]) for name in held[0]}
+            rows = {name: [part[name] for part in held] for name in held[0]}
             self.work.save(self._kind, rows, {"items": told})
         elif held:
             self.work.save(self._kind, {}, {"items": told, "held": held})

@@ -248,8 +248,10 @@ class _Computed:
             table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
         rows: dict[str, AnyArray] = {"index": self.index, "table": table}
         for name in layout.quantities:
-            rows[name] = np.full((n, layout.samples, *layout.about(name).shape), np.nan)
-            rows[name][:well] = result.quantities[name]
+            rows[name] = result.quantities[name]
+            if well < n:
+                lost = np.full((n - well, *rows[name].shape[1:]), np.nan)
+                rows[name] = np.concatenate([rows[name], lost])
         if layout.quantities and layout.times is None:
             rows["time"] = np.tile(result.times, (n, 1))
         return rows
