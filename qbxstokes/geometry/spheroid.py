@@ -3,6 +3,8 @@
 Lengths are in units of the polar radius c; k = a/c is the aspect ratio.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -11,6 +11,8 @@ array([1., 0., 0.])
 -0.961538462
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Mapping
 from typing import Any
 

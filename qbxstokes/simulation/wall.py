@@ -1,5 +1,7 @@
 """What bounds the fluid: a plane wall, to which the flow has to stick."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 
