@@ -78,6 +78,34 @@ def test_tolerance_is_the_error_of_implicit_methods(method: str) -> None:
         assert np.abs(error).max() < 6.0 * tolerance
 
 
+@pytest.mark.parametrize("method", ["bdf", "arkimex", "rosw"])
+@pytest.mark.parametrize("stokes", [0.0, 1e-3])
+def test_implicit_steps_in_c_are_those_in_python(method: str, stokes: float) -> None:
+    plain, compiled = (
+        integrate(equations, start_of(equations), [1.0, 5.0], 1e-6, method=method)
+        for equations in (
+            RigidBodyEquations(exact_model(Spheroid(0.2)), paraboloid(0.1), stokes, evaluation=how)
+            for how in ("plain", "compiled")
+        )
+    )
+    assert compiled.states == pytest.approx(plain.states, abs=1e-9)
+    for name in ("steps", "rejections", "jacobians"):
+        assert getattr(compiled.checkpoint, name) == getattr(plain.checkpoint, name)
+    assert abs(compiled.checkpoint.evaluations - plain.checkpoint.evaluations) <= 20
+
+
+@pytest.mark.parametrize("method", ["bdf", "arkimex"])
+def test_implicit_steps_in_c_tell_a_blow_up(method: str) -> None:
+    """x1' = x1^2 + 1/3 from 1: its end is at sqrt(3) pi/6."""
+    hessian = np.zeros((3, 3, 3))
+    hessian[0, 0, 0], hessian[1, 0, 1], hessian[1, 1, 0] = 2.0, -2.0, -2.0
+    flow = PolynomialFlow(hessian=hessian)
+    equations = RigidBodyEquations(exact_model(Spheroid(1.0)), flow, evaluation="compiled")
+    start = equations.initial_state((1.0, 0.0, 0.0), rotation.from_axis(AXIS))
+    with pytest.raises(ConvergenceError, match=r"t = 0\.906[89].* without bound"):
+        integrate(equations, start, [2.0], 1e-6, method=method)
+
+
 @pytest.mark.parametrize(("k", "method"), [(0.1, "8vr"), (0.5, "bdf")])
 def test_error_of_rounding_is_foretold(k: float, method: str) -> None:
     equations = RigidBodyEquations(exact_model(Spheroid(k)), SHEAR)

@@ -49,7 +49,7 @@ class Inside:
             return self._system.read(self._vector)
         if self._system.method in INTERPOLANT_SUFFICES:
             self._ts.interpolate(t, self.scratch)
-        elif many and (self._system.layout.columns == 1 or self._system.native is None):
+        elif many and (self._system.layout.columns == 1 or not self._system.explicit_in_c):
             return self._by_polynomial(before, start, after, np.array([t]))[0]
         else:
             self._substep(before, start, after, t)
@@ -57,7 +57,7 @@ class Inside:
 
     def states_at(self, before: float, start: Array, after: float, times: Array) -> list[Array]:
         """States at all instants (n,) that are wanted of a step."""
-        several = self._system.layout.columns > 1 and self._system.native is not None
+        several = self._system.layout.columns > 1 and self._system.explicit_in_c
         if len(times) <= FEW or several or self._system.method in INTERPOLANT_SUFFICES:
             return [self.state_at(before, start, after, t) for t in times.tolist()]
         found = self._by_polynomial(before, start, after, times)
@@ -80,7 +80,7 @@ class Inside:
                 self.scratch.setArray(start if node == 0.0 else self._vector.getArray(readonly=1))
             else:
                 self._substep(before, start, after, t)
-            if self._system.native is not None:
+            if self._system.explicit_in_c:
                 self._ts.computeRHSFunction(t, self.scratch, slope)
             else:
                 self._system.rate(self._ts, t, self.scratch, slope)

@@ -8,9 +8,11 @@ This module imports numba, and is itself imported where blocks are compiled.
 """
 
 import ctypes
+import hashlib
 from functools import cache
+from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import llvmlite.binding
 import numba
@@ -46,15 +48,15 @@ def pointer(context, address):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _frozen(context, array):  # type: ignore[no-untyped-def]
+def frozen(context, array):  # type: ignore[no-untyped-def]
     """An array as one that cannot be written to: what the loops are compiled for."""
-    frozen = array.copy(readonly=True)
+    kind = array.copy(readonly=True)
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         context.nrt.incref(builder, signature.return_type, arguments[0])
         return arguments[0]
 
-    return frozen(array), generate
+    return kind(array), generate
 
 
 # Put in for each kind of block before compilation: its loop, the numbers of a state, of a flow and
@@ -65,8 +67,9 @@ _STATE, _FLOW, _BODY = 7, 64, 17
 _FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL, _CHANGING = (False,) * 7
 
 # Places of the constants: calls so far, number of columns, what follows the flow, address and size
-# of the pieces of a flow that changes, and where the parts begin, in the order of `BlockConstants`.
-_CALLS, _COLUMNS, _FOLLOW, _PIECES, _SIZE, _PARTS = 0, 1, 2, 4, 5, 6
+# of the pieces of a flow that changes, Jacobians so far and whether a rate was no number (implicit
+# formulas), and where the parts begin, in the order of `BlockConstants`.
+_CALLS, _COLUMNS, _FOLLOW, _PIECES, _SIZE, JACOBIANS, ASTRAY, _PARTS = 0, 1, 2, 4, 5, 6, 7, 8
 # Places in the pieces (`flow_rows`): how many, coefficients, rows and flows of each, the last one
 # asked for, the instant as of which later ones are seen, and where the rows' places begin.
 _COUNT, _DEGREES, _ROWS, _GROUPS, _PLACE, _LAST, _HEAD = 0, 1, 2, 3, 4, 5, 6
@@ -122,14 +125,9 @@ def closed(state: Any, rate: Any, places: Any) -> int:
     return failed if failed else restore_state(state, places.ctypes)
 
 
-def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
-    """TSRHSFunction of a block; `constants` as `NativeRate` lays them out."""
+def _parts_at(constants: Any, t: float) -> Any:
+    """What a loop takes of a block besides the states, from constants as `NativeRate` has them."""
     n = int(constants[_COLUMNS])
-    constants[_CALLS] += 1.0
-    places = np.empty(2, np.intp)
-    failed = opened(state, rate, places)
-    if failed:
-        return failed
     after_flow = _PARTS + (_FLOW * n if _FLOWS else _FLOW)
     after_body = after_flow + (_BODY * n if _BODIES else _BODY)
     after_loads = after_body + (12 * n if _LOADED else 0)
@@ -142,48 +140,89 @@ def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
     still = c[after_rates:after_still].reshape(3, n) if _STILL else None
     if _CHANGING:
         _put(t, carray(pointer(np.intp(c[_PIECES])), (int(c[_SIZE]),)), flow)
-    y = _frozen(carray(pointer(places[0]), (_STATE, n)))
-    out = carray(pointer(places[1]), (_STATE, n))
     rates = c[after_loads:after_rates].reshape(4, n) if _INERTIAL else None
     follow = (c[_FOLLOW], c[_FOLLOW + 1]) if _FOLLOWING else None
+    return flow, body, loads, rates, follow, still
+
+
+def _rate(_: Any, t: float, state: Any, rate: Any, constants: Any) -> int:
+    """TSRHSFunction of a block."""
+    n = int(constants[_COLUMNS])
+    constants[_CALLS] += 1.0
+    places = np.empty(2, np.intp)
+    failed = opened(state, rate, places)
+    if failed:
+        return failed
+    flow, body, loads, rates, follow, still = _parts_at(constants, t)
+    y = frozen(carray(pointer(places[0]), (_STATE, n)))
+    out = carray(pointer(places[1]), (_STATE, n))
     _loop(y, out, flow, body, loads, rates, follow, still)
     return closed(state, rate, places)
 
 
+_OWN = hashlib.blake2b(Path(__file__).read_bytes(), digest_size=6).hexdigest()
+
+
+class Kind(NamedTuple):
+    """A kind of block, for which C functions are compiled: see above."""
+
+    kernels: ModuleType
+    degree: int
+    sizes: tuple[int, int, int]
+    flows: bool
+    bodies: bool
+    loaded: bool
+    inertial: bool
+    following: bool
+    still: bool
+    changing: bool
+
+    @classmethod
+    def of(cls, block: BlockConstants, n_state: int) -> Self:
+        """That of a block."""
+        return cls(
+            block.kernels,
+            block.degree,
+            (n_state, len(block.flow), len(block.body)),
+            block.flow.ndim == 2,
+            block.body.ndim == 2,
+            block.loads is not None,
+            block.rates is not None,
+            block.follow is not None,
+            block.still is not None,
+            block.changing is not None,
+        )
+
+    def compiled(self, function: Any, signature: Any = None, **more: Any) -> Any:
+        """A function above, with `more` among its globals, in C, or for other compiled ones.
+
+        From numba's cache on disk where it is there, which looks at the file alone: the name tells
+        the rest.
+        """
+        loops = compiled_loops(self.kernels, self.degree, not self.inertial)
+        flags = self[3:]
+        namespace = function.__globals__ | {
+            "_loop": loops.by_name["rate_block"],
+            "_slopes": loops.by_name["jacobian_block"],
+            **dict(zip(("_STATE", "_FLOW", "_BODY"), self.sizes, strict=True)),
+            **dict(zip((f"_{name.upper()}" for name in self._fields[3:]), flags, strict=True)),
+            **more,
+        }
+        copy = FunctionType(function.__code__, namespace, function.__name__)
+        copy.__module__ = function.__module__
+        kind = "".join(f"{flag:d}" for flag in flags)
+        law = self.kernels.__name__.rpartition(".")[2]
+        kind = f"{law}_{self.degree}_{self.sizes[0]}_{kind}_{loops.version}_{_OWN}"
+        name = f"{function.__name__}_{kind}"
+        copy.__qualname__ = name
+        if signature is None:
+            return numba.njit(error_model="numpy", forceinline=True)(copy)
+        return numba.cfunc(signature, cache=compiled_are_kept(), error_model="numpy")(copy)
+
+
 @cache
-def _compiled(
-    kernels: ModuleType,
-    degree: int,
-    sizes: tuple[int, int, int],
-    flows: bool,
-    bodies: bool,
-    loaded: bool,
-    inertial: bool,
-    following: bool,
-    still: bool,
-    changing: bool,
-) -> Any:
-    """`_rate` for one kind of block, from numba's cache on disk where it is there."""
-    loops = compiled_loops(kernels, degree, not inertial)
-    namespace = globals() | {
-        "_loop": loops.by_name["rate_block"],
-        **dict(zip(("_STATE", "_FLOW", "_BODY"), sizes, strict=True)),
-        "_FLOWS": flows,
-        "_BODIES": bodies,
-        "_LOADED": loaded,
-        "_INERTIAL": inertial,
-        "_FOLLOWING": following,
-        "_STILL": still,
-        "_CHANGING": changing,
-    }
-    copy = FunctionType(_rate.__code__, namespace, "_rate")
-    copy.__module__ = __name__
-    # The cache looks at this file alone: the name tells the rest.
-    flags = flows, bodies, loaded, inertial, following, still, changing
-    kind = "".join(f"{flag:d}" for flag in flags)
-    law = kernels.__name__.rpartition(".")[2]
-    copy.__qualname__ = f"rate_{law}_{degree}_{sizes[0]}_{kind}_{loops.version}"
-    return numba.cfunc(SIGNATURE, cache=compiled_are_kept(), error_model="numpy")(copy)
+def _compiled(kind: Kind) -> Any:
+    return kind.compiled(_rate, SIGNATURE, _parts_at=kind.compiled(_parts_at))
 
 
 @cache
@@ -198,19 +237,22 @@ def library() -> Any:
     if not known or np.dtype(PETSc.ScalarType) != np.float64:
         return None
     for name in _ARRAYS:
-        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-        llvmlite.binding.add_symbol(name, address)
+        known_to_numba(library, name)
     return library
+
+
+def known_to_numba(library: Any, name: str) -> None:
+    """Tell numba where a function of the library is."""
+    address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+    llvmlite.binding.add_symbol(name, address)
 
 
 class Native:
     """A compiled right-hand side, ready to be given to integrators.
 
     It has to outlive them: PETSc keeps the addresses of the function and of its constants, of which
-    the first counts the calls. astray: whether some rate was no number in the last step.
+    the first counts the calls.
     """
-
-    astray = False
 
     def __init__(self, function: Any, constants: Array) -> None:
         self._function, self._constants = function, constants
@@ -224,6 +266,16 @@ class Native:
     def calls(self) -> int:
         """How often PETSc has called it."""
         return int(self._constants[_CALLS])
+
+    @property
+    def astray(self) -> bool:
+        """Whether some rate was no number in the last step."""
+        return False
+
+    @property
+    def jacobians(self) -> int:
+        """How many Jacobians PETSc has asked for."""
+        return 0
 
     def prepare(self) -> None:
         """Before every step: take up what has changed."""
@@ -241,19 +293,10 @@ class Native:
 class NativeRate(Native):
     """That of a block."""
 
+    _functions = staticmethod(_compiled)
+
     def __init__(self, block: BlockConstants, layout: Layout) -> None:
-        function = _compiled(
-            block.kernels,
-            block.degree,
-            (layout.n_state, len(block.flow), len(block.body)),
-            block.flow.ndim == 2,
-            block.body.ndim == 2,
-            block.loads is not None,
-            block.rates is not None,
-            block.follow is not None,
-            block.still is not None,
-            block.changing is not None,
-        )
+        function = self._functions(Kind.of(block, layout.n_state))
         head = np.zeros(_PARTS)
         head[_COLUMNS] = layout.columns
         if block.follow is not None:

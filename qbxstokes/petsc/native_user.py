@@ -62,6 +62,6 @@ class NativeUser(Native):
         c[_POINTS], c[_WHERE], c[_WEIGHTS] = len(points), points.ctypes.data, weights.ctypes.data
 
     @property
-    def astray(self) -> bool:  # type: ignore[override]
+    def astray(self) -> bool:
         """Whether some rate was no number in the last step."""
         return bool(self._constants[_ASTRAY])

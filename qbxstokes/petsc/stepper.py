@@ -39,8 +39,7 @@ from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory, Watch, of_
 Array = NDArray[np.float64]
 
 # Fewest steps of BDF between two cuts, unless so many samples wait.
-BDF_STEPS = 1000
-BDF_SAMPLES = 20_000
+BDF_STEPS, BDF_SAMPLES = 1000, 20_000
 # Share of the longest step below which a step with a stage that has no value is given up.
 SHORTEST = 1e-4
 REASONS = {-1: "the nonlinear solve failed", -2: "too many steps were rejected"}
@@ -91,16 +90,13 @@ def integrate(
     shape = equations.layout.columns, equations.layout.n_state
     require_honest()
     instants = np.asarray(times, dtype=np.float64)
-    if isinstance(start, Checkpoint):
-        checkpoint = start
-    else:
-        state = np.array(start, dtype=np.float64).reshape(shape)
-        checkpoint = Checkpoint(t0, state)
+    if not isinstance(start, Checkpoint):
+        start = Checkpoint(t0, np.array(start, dtype=np.float64).reshape(shape))
     end, count = float(instants[-1]), len(instants)
     ends = np.asarray(breaks, dtype=np.float64)
     bound = longest_step, len(ends)
-    system = System(equations, checkpoint, end, count, tolerance, method, prefix, *bound, comm)
-    run = Run(system, checkpoint, instants, ends, watch or Watch())
+    system = System(equations, start, end, count, tolerance, method, prefix, *bound, comm)
+    run = Run(system, start, instants, ends, watch or Watch())
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
     try:
@@ -144,6 +140,8 @@ class Run:
 
     def _build(self) -> None:
         """Fresh integrators at the checkpoint: a resumed run passes through the same code."""
+        # Whether a step begins at a break, and how long such a step may be, as former ones were.
+        self._fresh, self._anew = False, math.inf
         start, system = self.checkpoint, self._system
         self.release()
         self._watch.begin(start.time, start.state)
@@ -186,8 +184,7 @@ class Run:
         while index < len(times):
             if interrupted is not None and interrupted():
                 return False
-            before, start = t, self._vector.getArray(readonly=1).copy()
-            halt = None
+            before, start, halt = t, self._vector.getArray(readonly=1).copy(), None
             try:
                 self._to_break(t, start)
                 t = min(ts.getTime(), self._end)
@@ -258,11 +255,16 @@ class Run:
             if known - t <= 1e-13 * self._end:
                 raise self._failed("", NO_VALUE)
             ts.setTimeStep(known - t)
+        asked = ts.getTimeStep()
         self._step(start)
+        if self._fresh:
+            taken, self._fresh = ts.getTime() - t, False
+            self._anew = taken if taken < 0.99 * asked else 2.0 * self._anew
         if not last and (ts.getTime() >= limit or math.isclose(ts.getTime(), limit, rel_tol=1e-13)):
             ts.setTime(limit)
-            ts.setTimeStep(max(ts.getTimeStep(), min(length, self._end - limit)))
+            ts.setTimeStep(min(max(ts.getTimeStep(), length), self._end - limit, self._anew))
             ts.restartStep()
+            self._fresh = True
 
     def _step(self, start: Array) -> None:
         """One accepted step from the vector `start`; else a ConvergenceError or the flow's own.
@@ -372,7 +374,7 @@ class Run:
             steps=ts.getStepNumber(),
             rejections=old.rejections + ts.getStepRejections(),
             evaluations=self._system.evaluations,
-            jacobians=self.counter.jacobians,
+            jacobians=self._system.jacobians,
             norm_drift=max(old.norm_drift, drift),
             changed=old.changed,
         )

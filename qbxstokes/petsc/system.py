@@ -105,6 +105,16 @@ class System:
         """Right-hand sides so far, by Python and by PETSc itself."""
         return self.counter.evaluations + (self.native.calls if self.native else 0)
 
+    @property
+    def jacobians(self) -> int:
+        """The same of Jacobians."""
+        return self.counter.jacobians + (self.native.jacobians if self.native else 0)
+
+    @property
+    def explicit_in_c(self) -> bool:
+        """Whether the right-hand side of an explicit formula is compiled."""
+        return self.native is not None and not self._by_lane
+
     def cover(self, before: float, after: float) -> float:
         """Know the flow from `before` to `after`, if possible; the instant up to which it is."""
         if self._changing is None:
@@ -223,6 +233,16 @@ class System:
                 self.native = NativeRate.made(block, self.layout)
         return self.native
 
+    def _native_implicit(self) -> Any:
+        """The equations of a single body as C functions for implicit formulas, or None."""
+        if self.native is None and self.layout.columns == 1:
+            block = self._moving.block_constants(self._repaid)
+            if block is not None:
+                from qbxstokes.petsc.native_implicit import NativeImplicit
+
+                self.native = NativeImplicit.made(block, self.layout)
+        return self.native
+
     def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
         counter, equations = self.counter, self.equations
 
@@ -299,9 +319,18 @@ class System:
 
         weights: the error of a step that is accepted where a component is small.
         """
-        work = vector.duplicate()
+        work, matrix = vector.duplicate(), self._matrix()
+        # With the exact Jacobian the error left by a Newton step is its square times a curvature of
+        # order one. Residuals are no measure: their rounding grows with the stiffness.
+        # Each component is measured by its own size, as the steps are: a body far away has
+        # orientation still.
+        enough = 0.1 / math.sqrt(self.local_tolerance)
+        weights = weights.getArray(readonly=1)
+        if (native := self._native_implicit()) is not None:
+            test = np.array([enough, self.local_tolerance, len(weights), *weights])
+            native.solve_with(ts, work, matrix, test)
+            return
         jacobian = self._jacobian_callback()
-        matrix = self._matrix()
 
         def residual(ts: Any, t: float, state: Any, slope: Any, out: Any) -> None:
             rate(ts, t, state, work)
@@ -316,12 +345,6 @@ class System:
 
         ts.setIFunction(residual, vector.duplicate())
         ts.setIJacobian(shifted, matrix, matrix)
-        # With the exact Jacobian the error left by a Newton step is its square times a curvature of
-        # order one. Residuals are no measure: their rounding grows with the stiffness.
-        # Each component is measured by its own size, as the steps are: a body far away has
-        # orientation still.
-        enough = 0.1 / math.sqrt(self.local_tolerance)
-        weights = weights.getArray(readonly=1)
 
         def converged(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             if not math.isfinite(norms[2]):
