@@ -12,6 +12,7 @@ from qbxstokes.quantities import FLUID, HALF_TURN, INSTANT, MOTION, POINT, SURFA
 
 if TYPE_CHECKING:
     from qbxstokes.io.results import Result
+    from qbxstokes.typing import AnyArray
     from qbxstokes.units import Scales
 
 Shape = tuple[int, ...]
@@ -153,14 +154,13 @@ _WHY = {
 }
 
 
-def unknown(result: Result, columns: Sequence[str] = ()) -> list[str]:
-    """Of a sweep: which columns of its table are not known (NaN) of how many, and why.
+def unknown(table: AnyArray, columns: Sequence[str] = ()) -> list[str]:
+    """Which columns of the table of a sweep are not known (NaN) of how many, and why.
 
     columns: those that are looked at; () for all.
     """
-    table = result.arrays["table"] if "table" in result.shapes else None
-    there = () if table is None else table.dtype.names or ()
-    if table is None or "status" not in there:
+    there = table.dtype.names or ()
+    if "status" not in there:
         return []
     done = table[table["status"] == 1]
     found: dict[tuple[str, int], list[str]] = {}

@@ -238,7 +238,7 @@ def _lay_out(
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[h5py.File]:
+def reading(path: str | Path) -> Iterator[h5py.File]:
     """A finished result, of which rows are read; raises ResultFileError."""
     import h5py
 

@@ -23,6 +23,7 @@ from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
+from qbxstokes.runs.gathering import MOST
 from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
@@ -287,7 +288,8 @@ def estimate(scenes: Swept, row_bytes: int) -> Estimate:
     n = scenes.space.size
     # Where bodies are what is swept, forming them is all the work of a block.
     bodies = scenes.turns * len(scenes.bodies[1]) if isinstance(scenes, Scenes) else 0
-    held = 8 * scenes.samples * int(sizes.max()) * 60
+    held = min(8 * scenes.samples * int(sizes.max()) * 60, BLOCK_BYTES)
+    held += 2 * min(n * row_bytes, MOST)  # finished, and on its way to the result
     return Estimate(
         models=bodies * MODEL,
         bodies=bodies,
@@ -296,5 +298,5 @@ def estimate(scenes: Swept, row_bytes: int) -> Estimate:
         handout=scenes.blocks * HANDOUT,
         last_block=float(per_block.max()),
         layout=n * LAYOUT,
-        memory=BASE_MEMORY + min(held, BLOCK_BYTES) + 48.0 * scenes.blocks,
+        memory=BASE_MEMORY + held + 48.0 * scenes.blocks,
     )

@@ -18,7 +18,7 @@ from qbxstokes.typing import AnyArray
 Item = tuple[dict[str, AnyArray], dict[str, Any]]
 
 # Bytes that are kept in memory at most.
-MOST = 64 * 2**20
+MOST = 128 * 2**20
 _TAG = 77
 
 
@@ -38,6 +38,10 @@ class Gathering:
         every: float = 30.0,
         most: int = MOST,
     ) -> None:
+        if comm.size > 1:
+            from mpi4py.util import pkl5
+
+            comm = pkl5.Intracomm(comm)  # whose messages hold arrays as they are, not copied
         self._comm, self.work, self._kind, self._joined = comm, work, kind, joined
         self.every, self._most = every, most
         self._items: list[Item] = []
@@ -78,7 +82,8 @@ class Gathering:
         for path in self.work.parts(self._kind):
             rows, note = read_whole(path)
             yield from [(rows, note)] if rows else zip(note["held"], note["items"], strict=True)
-        yield from self._items
+        while self._items:
+            yield self._items.pop(0)
         while self._waiting:
             yield from self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
 

@@ -163,7 +163,7 @@ def describe_result(result: Result) -> str:
     sections: dict[str, Rows] = {
         **holds(result),
         "Sampling": _sampling(result),
-        "Not known": listed(unknown(result)),
+        "Not known": listed(unknown(result.arrays["table"])) if "table" in result.shapes else [],
         "Scales": list(_leaves(result.scales)),
         "Summary": [
             (name, f"{text} {units}".rstrip())

@@ -15,7 +15,7 @@ from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep_result as store
 from qbxstokes.io.listing import unknown
-from qbxstokes.io.results import load, shows_parts
+from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, open_work, reopen
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
@@ -50,8 +50,10 @@ def sweep_command(job: Job) -> int:
         for name in summary["unused_petsc_options"]:
             print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
         tell_failures(summary)
-        for remark in unknown(load(summary["result"]), ("period", "rotation_rate")):
-            if not options.quiet:
+        if not options.quiet:
+            with store.reading(summary["result"]) as file:
+                table = file["table"][()]
+            for remark in unknown(table, ("period", "rotation_rate")):
                 print(f"qbxstokes: {remark}", file=sys.stderr)
     return ConvergenceError.exit_status if summary["failed"] else 0
 
