@@ -138,6 +138,9 @@ def test_command_exports(
     assert run_cli("export", sweep, "--csv", "--npz", "-o", "out").stdout == (
         "out/sweep.csv\nout/sweep.npz\n"
     )
+    assert (
+        run_cli("export", sweep, "--format", "npz", "-o", "out/new").stdout == "out/new/sweep.npz\n"
+    )
     assert json.loads(run_cli("export", sweep, "--trajectory", "1", "--json").stdout) == [
         "sweep-1.csv"
     ]

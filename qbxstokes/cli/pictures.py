@@ -79,6 +79,7 @@ options
                       trajectory, of a field per point (a file for each set)
   --npz               all arrays, for NumPy
   --netcdf            arrays with named axes, for xarray and others
+  --format F,...      the same by name: csv, npz, netcdf
   -o WHERE            folder of the files (default: here), or a file, whose
                       ending then says the format
   --trajectory N      of a sweep: the samples of one trajectory
@@ -118,6 +119,7 @@ def picture_command(command: str, words: Sequence[str]) -> int:
         for name in ("--y", "--by", "--histogram"):
             parser.add_argument(name, type=_listed, action="extend", default=[])
     elif command == "export":
+        parser.add_argument("--format", type=_listed, action="extend", default=[])
         for flag in (*_FLAGS.values(), "overwrite", "units"):
             parser.add_argument(f"--{flag}", action="store_true")
     else:
@@ -255,7 +257,11 @@ def _export(options: argparse.Namespace) -> list[Path]:
     single = _file(options, EXPORTED)
     if single and len(options.files) > 1:
         raise CaseError(f"{single}: one file for several results; name a folder")
-    kinds = [kind for kind in EXPORTED if getattr(options, _FLAGS[kind])] or ["csv"]
+    if unknown := set(options.format) - set(_FLAGS.values()):
+        known = ", ".join(_FLAGS.values())
+        raise CaseError(f"command line: --format {unknown.pop()}: is not one of {known}")
+    wanted = {flag for flag in _FLAGS.values() if getattr(options, flag)} | set(options.format)
+    kinds = [kind for kind in EXPORTED if _FLAGS[kind] in wanted] or ["csv"]
     results = [_opened(Path(name), options.trajectory) for name in options.files]
     if options.units:
         results = [result.in_units() for result in results]

@@ -112,7 +112,8 @@ def to_xarray(result: Result) -> xarray.Dataset:
         (coordinates if is_axis else variables)[name] = (axes, result[name], told)
         if "components" in result.attributes[name]:
             coordinates[axes[-1]] = _labels(result, name, axes[-1], shape[-1])
-    about = {"title": str(result.path), "task": result.task, "conventions": result.conventions}
+    title = result.provenance.get("title") or str(result.path)
+    about = {"title": title, "task": result.task, "conventions": result.conventions}
     return needed("xarray", "to_xarray()").Dataset(variables, coordinates, about)
 
 

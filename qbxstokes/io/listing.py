@@ -138,8 +138,8 @@ def holds(result: Result) -> dict[str, list[tuple[str, str]]]:
 
 
 _FEW = (
-    "{} of the axis (a longer time.end, a smaller sweep.discard), or samples too far apart to "
-    "count them (more time.samples)"
+    "{} of the axis (a longer time.end, a smaller sweep.discard), an axis that has come to lie "
+    "along the vorticity, or samples too far apart to count turns (more time.samples)"
 )
 _SHEAR = "the flow at the start is no simple shear"
 # Why a column of a table is not known of a trajectory that was done.

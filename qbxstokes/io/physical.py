@@ -34,6 +34,8 @@ def physical(result: Result) -> Result:
     found.attributes = {name: _told(about, scales) for name, about in result.attributes.items()}
     found.groups = _group(result.groups, scales)
     found.converted_by = scales
+    _, _, rest = result.conventions.partition(" Orientation:")
+    found.conventions = f"Physical units, told with every array. Orientation:{rest}"
     return found
 
 
