@@ -117,12 +117,10 @@ class CoupledEquations(RigidBodyEquations):
         out[:] = self._rate_of(t, y[None])[0]
 
     def _rate_of(self, t: float, y: Array) -> Array:
-        t, x, raw = self.fluid.between(t), y[:, POSITION], y[:, ORIENTATION]
-        q, rate = rotation.normalize(raw), np.empty_like(y)
+        t, x, q = self.fluid.between(t), y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
+        rate = np.empty_like(y)
         v, omega = self.velocities(t, y)
-        rate[:, POSITION] = v
-        spin = np.concatenate([np.zeros((self.n_lanes, 1)), omega], axis=1)
-        rate[:, ORIENTATION] = 0.5 * rotation.multiply(spin, raw)
+        rate[:, :N_MASSLESS] = self._moving(y, v, omega)
         if self.massless:
             return rate
         force, torque = self.fluid.drag(t, x, q, v, omega)
@@ -132,6 +130,14 @@ class CoupledEquations(RigidBodyEquations):
         about = rotation.to_body(q, torque + turn) - np.cross(w, self._moments * w)
         rate[:, SPIN] = about / self._moments
         return rate
+
+    def moving(self, t: float, y: Array) -> Array:
+        """Rates (N, 7) of positions and quaternions in the states y (N, n_state)."""
+        return self._moving(y, *self.velocities(t, y))
+
+    def _moving(self, y: Array, v: Array, omega: Array) -> Array:
+        spin = np.concatenate([np.zeros((self.n_lanes, 1)), omega], axis=1)
+        return np.hstack([v, 0.5 * rotation.multiply(spin, y[:, ORIENTATION])])
 
     def velocities(self, t: float, y: Array) -> tuple[Array, Array]:
         """V and Omega (space frame), each (N, 3), in the states y (N, n_state)."""

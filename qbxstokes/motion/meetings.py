@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.events import EventLog
-from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
+from qbxstokes.motion.layout import N_MASSLESS, ORIENTATION, POSITION, Step
 from qbxstokes.motion.roots import root
 from qbxstokes.typing import Array
 
@@ -22,6 +23,10 @@ from qbxstokes.typing import Array
 _BENT = 2.0
 # A piece of a step in which the surfaces move by less than this part of a body is not cut.
 _FINEST = 1e-3
+# Largest value of s (1 - s)^2 on [0, 1]: how far a cubic is from its chord, for what its ends miss.
+_CUBIC = 4.0 / 27.0
+# A gap inside a step is looked at where it seems smaller than this part of the least one so far.
+_LESS = 0.9
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class Meetings(EventLog):
     nearest: tuple[float, tuple[int, int], float] | None = None
     nearest_state: Array | None = None
     _latest: tuple[float, Nearness] | None = None
+    _known: tuple[float, Array] | None = None
     _speeds: dict[str, list[float]] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
@@ -108,6 +114,9 @@ class Meetings(EventLog):
         near_start = self._latest[1] if known and self._latest else self.nearness(step.start)
         begin = (step.before, step.start, near_start)
         todo = [(step.after, step.end, self.nearness(step.end))]
+        if self._clear(step, near_start, todo[0][2]):
+            begin = todo.pop()
+            self._note(begin[0], begin[2], begin[1])
         while todo:
             end = todo[-1]
             travel = self._travel(begin[1], end[1])
@@ -124,6 +133,56 @@ class Meetings(EventLog):
         self._latest = begin[0], begin[2]
         return None
 
+    def _clear(self, step: Step, before: Nearness, after: Nearness) -> bool:
+        """Whether the cubics that have the states and rates of a step's ends keep their distance.
+
+        By as much as they are off the straight way, too: they follow what the step resolves far
+        better than that. They cost no states inside the step.
+        """
+        if min(before.room, after.room) <= 0.0:
+            return False
+        if before.room + after.room >= self._travel(step.start, step.end):
+            return True
+        length, moving, known = step.after - step.before, self.equations.moving, self._known
+        try:
+            last = moving(step.after, step.end)  # which the next step starts from
+            own = known is not None and known[0] == step.before
+            first = known[1] if known and own else moving(step.before, step.start)
+        except (FlowError, ContactError, ConvergenceError):
+            return False
+        self._known = step.after, last
+        chord = (step.end - step.start)[:, :N_MASSLESS]
+        first, last = length * first - chord, chord - length * last
+        bent = sum(self._apart(*self._ways(step.start, way)) for way in (first, last))
+        margin = 2.0 * _CUBIC * bent
+
+        def cubic(s: float) -> Array:
+            states = step.start.copy()
+            off = s * (1.0 - s) * ((1.0 - s) * first + s * last)
+            states[:, :N_MASSLESS] += s * chord + off
+            return states
+
+        begin, todo = (0.0, step.start, before), [(1.0, step.end, after)]
+        least = min(before.gap, after.gap, self.nearest[0] if self.nearest else np.inf), 0.0
+        while todo:
+            s, states, near = todo[-1]
+            travel = self._travel(begin[1], states)
+            if near.room <= margin or begin[2].room <= margin:
+                return False
+            if begin[2].room + near.room - 2.0 * margin >= travel:
+                begin = todo.pop()
+                continue
+            middle = 0.5 * (begin[0] + s)
+            between = self.nearness(states := cubic(middle))
+            todo.append((middle, states, between))
+            if between.gap < _LESS * least[0]:
+                least = between.gap, middle
+        if least[1]:
+            t = step.before + least[1] * length
+            states = step.state(t)
+            self._note(t, self.nearness(states), states)
+        return True
+
     def _crossing(
         self, step: Step, t0: float, before: Nearness, end: tuple[float, Array, Nearness]
     ) -> tuple[float, Nearness]:
@@ -138,8 +197,18 @@ class Meetings(EventLog):
     def _travel(self, start: Array, end: Array) -> float:
         """About how far surfaces can have come together, or nearer to what is at rest."""
         before, after = (rotation.axis(y[:, ORIENTATION]) for y in (start, end))
-        turn = self.arm * np.linalg.norm(after - before, axis=1)
         way = end[:, POSITION] - start[:, POSITION]
+        return _BENT * self._apart(way, self.arm * np.linalg.norm(after - before, axis=1))
+
+    def _ways(self, states: Array, off: Array) -> tuple[Array, Array]:
+        """Ways (N, 3) of the centres and (N,) of the surfaces by turning, of what is off a state.
+
+        A quaternion that is off by half an angle turns the body by that angle.
+        """
+        return off[:, POSITION], 2.0 * self.arm * np.linalg.norm(off[:, ORIENTATION], axis=1)
+
+    def _apart(self, way: Array, turn: Array) -> float:
+        """How much ways (N, 3) and turns (N,) of the surfaces count, of what counts most."""
         ways = [0.0]
         if self.normal is not None:
             ways.append(float((np.abs(way @ self.normal) + turn).max()))
@@ -148,7 +217,7 @@ class Meetings(EventLog):
         if len(way) > 1:
             apart = np.linalg.norm(way[:, None] - way, axis=2) + turn[:, None] + turn
             ways.append(float(apart.max(where=~np.eye(len(way), dtype=bool), initial=0.0)))
-        return _BENT * max(ways)
+        return max(ways)
 
     def _note(self, t: float, near: Nearness, y: Array) -> None:
         if self.nearest is None or near.gap < self.nearest[0]:
