@@ -247,3 +247,14 @@ def test_ranks_share_the_work_whatever_the_bodies(nodes: list[int], ranks: int) 
     for stage in problem.stages:
         load = [sum(cost[b] * len(share.get(b, [])) / nodes[b] for b in stage) for share in shares]
         assert max(load) <= 1.15 * sum(load) / ranks
+
+
+def test_bodies_that_pass_each_other_are_watched_by_few_solves() -> None:
+    pair, x = (
+        qs.Suspension([qs.Body(1.0)] * 2, tolerance=1e-5),
+        [[-3.0, 1.2, 0.0], [3.0, -1.2, 0.0]],
+    )
+    found = pair.integrate(qs.flow("shear"), [0.0, 6.0], x, tolerance=1e-5)
+    assert found.ended_by is None
+    assert found.summary["solves"] < 1.25 * found.summary["rhs_evaluations"]
+    assert found.summary["events"]["nearest"]["gap"] == pytest.approx(0.646, abs=0.07)

@@ -83,7 +83,8 @@ class Layout:
 class Step:
     """An accepted step for an observer: instants before and after, states (columns, n_state).
 
-    state: the state at any instant between, as accurate as the steps.
+    state: the state at any instant between, as accurate as the steps. costly: whether that takes
+    about what a step takes.
     """
 
     before: float
@@ -91,3 +92,4 @@ class Step:
     start: Array
     end: Array
     state: Callable[[float], Array]
+    costly: bool = False

@@ -25,8 +25,8 @@ _BENT = 2.0
 _FINEST = 1e-3
 # Largest value of s (1 - s)^2 on [0, 1]: how far a cubic is from its chord, for what its ends miss.
 _CUBIC = 4.0 / 27.0
-# A gap inside a step is looked at where it seems smaller than this part of the least one so far.
-_LESS = 0.9
+# The least gap is looked for at these parts of a step, and taken where it seems so much less.
+_LOOKS, _LESS = (0.25, 0.5, 0.75), 0.95
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Meetings(EventLog):
         near_start = self._latest[1] if known and self._latest else self.nearness(step.start)
         begin = (step.before, step.start, near_start)
         todo = [(step.after, step.end, self.nearness(step.end))]
-        if self._clear(step, near_start, todo[0][2]):
+        if step.costly and self._clear(step, near_start, todo[0][2]):
             begin = todo.pop()
             self._note(begin[0], begin[2], begin[1])
         while todo:
@@ -163,7 +163,6 @@ class Meetings(EventLog):
             return states
 
         begin, todo = (0.0, step.start, before), [(1.0, step.end, after)]
-        least = min(before.gap, after.gap, self.nearest[0] if self.nearest else np.inf), 0.0
         while todo:
             s, states, near = todo[-1]
             travel = self._travel(begin[1], states)
@@ -173,12 +172,12 @@ class Meetings(EventLog):
                 begin = todo.pop()
                 continue
             middle = 0.5 * (begin[0] + s)
-            between = self.nearness(states := cubic(middle))
-            todo.append((middle, states, between))
-            if between.gap < _LESS * least[0]:
-                least = between.gap, middle
-        if least[1]:
-            t = step.before + least[1] * length
+            states = cubic(middle)
+            todo.append((middle, states, self.nearness(states)))
+        gap, s = min((self.nearness(cubic(s)).gap, s) for s in _LOOKS)
+        least = min(before.gap, after.gap, self.nearest[0] if self.nearest else np.inf)
+        if gap < _LESS * least:
+            t = step.before + s * length
             states = step.state(t)
             self._note(t, self.nearness(states), states)
         return True

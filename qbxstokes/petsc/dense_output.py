@@ -111,7 +111,8 @@ class Inside:
             asked += before < t < after
             return first if t <= before else self.state_at(before, start, after, t, asked > 1)
 
-        return Step(before, after, first, last, state)
+        costly = self._system.method not in INTERPOLANT_SUFFICES
+        return Step(before, after, first, last, state, costly)
 
 
 THIRDS = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
