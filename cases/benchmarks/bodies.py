@@ -1,19 +1,14 @@
 """Bodies that share a fluid, and one above a wall: what a velocity takes beside its bar.
 
-CPU times of one core; accuracy and iterations have their bars in tests/stress/test_bodies.py.
+CPU times of one core; accuracy and iterations have their bars in tests/stress/test_bodies.py,
+ranks their case, twelve_bodies.yaml.
 
-Run:      python cases/benchmarks/bodies.py      (3 min; --small: 10 s; --csv)
+Run:      python cases/benchmarks/bodies.py      (1 min; --small: 10 s; --csv)
 Expected: met, on a machine with nothing else to do.
 """
 
-import json
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from measure import command, timed
@@ -92,66 +87,7 @@ def table(small):
     ]
 
 
-def neared(x, q, gap):
-    """The same centres, but for the nearest two of the bodies, now at a gap."""
-    places = qs.Suspension([qs.Body(0.5)] * len(x)).placed
-    b, c = closest(places(x, q), None)[1]
-    way, x = (x[b] - x[c]) / np.linalg.norm(x[b] - x[c]), x.copy()
-    for _ in range(40):
-        x[b] -= 0.7 * (closest(places(x, q), None)[0] - gap) * way
-    return x
-
-
-def two_ranks():
-    """Motions of twelve bodies on two ranks, against two runs of it on one rank each, at once.
-
-    Time of the one over half that of the two, which share two cores as it does; and its CPU time
-    over that of one of the two: 1 where the ranks neither wait awake nor do anything twice. In the
-    second scene two bodies are near each other and have by far the finest grids.
-    """
-    x, q, force = scattered(0.05, 12, 0.3)
-    return compared("", x, q, force, 2.0) + compared(
-        ", two near", neared(x, q, 0.06), q, force, 0.1
-    )
-
-
-def compared(named, x, q, force, end):
-    """Rows of one scene, see `two_ranks`."""
-    bodies = [
-        {
-            "aspect_ratio": 0.5,
-            "start": {"position": at, "orientation": {"quaternion": turn}},
-            "forces": {"force": load},
-        }
-        for at, turn, load in zip(x.tolist(), q.tolist(), force.tolist(), strict=True)
-    ]
-    case = {
-        "bodies": bodies,
-        "flow": {"type": "shear"},
-        "hydrodynamics": {"tolerance": 1e-5},
-        "time": {"end": end, "samples": 3, "tolerance": 1e-5},
-    }
-    run = [sys.executable, "-m", "qbxstokes", "case.json", "--quiet", "--overwrite", "-o"]
-    both = ["mpirun", "-n", "2", "--oversubscribe", "--allow-run-as-root", *run, "c.h5"]
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "case.json").write_text(json.dumps(case))
-
-        def spent(*commands):
-            begin, before = time.perf_counter(), sum(os.times()[2:4])
-            running = [subprocess.Popen(command, cwd=folder) for command in commands]
-            if any(process.wait() for process in running):
-                raise SystemExit("a run failed")
-            return np.array([time.perf_counter() - begin, sum(os.times()[2:4]) - before])
-
-        spent([*run, "a.h5"])  # compiles what is not yet
-        alone, shared = spent([*run, "a.h5"], [*run, "b.h5"]), spent(both)
-    named = f"twelve bodies{named} on two ranks ({shared[0]:.1f} s): "
-    wall, cpu = 2.0 * shared / alone
-    return [row(named + "time", wall, 1.0 / 0.9), row(named + "CPU time", cpu, np.inf)]
-
-
 @command
 def main(small=False):
-    """The tables."""
-    found = {"solved": solved(small), "table": table(small)}
-    return found if small else found | {"two_ranks": two_ranks()}
+    """Both tables."""
+    return {"solved": solved(small), "table": table(small)}
