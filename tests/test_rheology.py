@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import See
 import spheroid_stress
 from scipy import sparse
 from scipy.sparse.linalg import expm_multiply, spsolve
