@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import See
 import spheroid_stress
+from conftest import See
 from scipy import sparse
 from scipy.sparse.linalg import expm_multiply, spsolve
 
