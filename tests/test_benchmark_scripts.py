@@ -84,14 +84,6 @@ def test_the_closed_form_is_jefferys() -> None:
             assert np.allclose(rate, [2.0, 0.0, 0.0, *expected], atol=1e-14)
 
 
-def test_integrators_keep_their_tolerance() -> None:
-    tables = small("integrators")
-    assert list(tables) == ["integrators_massless", "integrators_inertial"]
-    for rows in tables.values():
-        assert np.all(column(rows, "error") < 10.0 * column(rows, "tolerance"))
-        assert column(rows, "taken").sum() == 2  # one method of each tolerance
-
-
 def test_blocks_are_as_accurate_as_the_loop_they_are_compared_with() -> None:
     rows = small("batch")["batch"]
     assert column(rows, "error").max() < 1e-6
@@ -107,11 +99,6 @@ def test_blocks_are_as_accurate_as_the_loop_they_are_compared_with() -> None:
 def test_field() -> None:
     tables = small("field")
     assert [row["upsampling"] for row in tables["field_costs"]] == [None, 1]
-
-
-@pytest.mark.slow
-def test_what_is_only_timed_is_timed() -> None:
-    small("command")
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("*.yaml")))

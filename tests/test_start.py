@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from pathlib import Path
+from statistics import median
 
 import pytest
-from conftest import ENVIRONMENT, Run
+from conftest import ENVIRONMENT, ROOT, Run
 
 from qbxstokes.petsc import launch
 
@@ -149,3 +152,34 @@ if comm.rank == 0:
     done = mpirun(ranks, script=script)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str([(True, False)] * ranks)
+
+
+@pytest.mark.slow
+def test_the_whole_command_over_its_bare_imports(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """Three Jeffery periods; medians of processes that take turns, with a warm cache (TURNS=5).
+
+    Within 1.4 times the imports where nothing else runs; twice, where something does.
+    """
+    imports = "import petsc4py, numpy, h5py; petsc4py.init(); from petsc4py import PETSc; "
+    program, case = [sys.executable, "-m", "qbxstokes"], str(ROOT / "cases/jeffery_prolate.yaml")
+    first = [*program, case, "--overwrite", "--quiet"]
+    commands = {
+        "bare imports": [sys.executable, "-c", f"{imports} from mpi4py import MPI"],
+        "a run": first,
+        "a run without cache": [*first, "--no-cache"],
+        "check": [*program, "check", case],
+        "--help": [*program, "--help"],
+    }
+    own = os.environ | ENVIRONMENT | {"QBXSTOKES_CACHE": str(tmp_path / "cache")}
+    spans: dict[str, list[float]] = {name: [] for name in commands}
+    for turn in range(-1, int(os.environ.get("TURNS", 1))):
+        for name, words in commands.items():
+            begin = time.perf_counter()
+            subprocess.run(words, cwd=tmp_path, env=own, stdout=subprocess.PIPE, check=True)
+            spans[name] += [time.perf_counter() - begin] if turn >= 0 else []
+    bare = median(spans["bare imports"])
+    for name, span in spans.items():
+        record_property("worst", f"{name}: {median(span):.2f} s, {median(span) / bare:.2f}")
+    assert median(spans["a run"]) < 2.0 * bare

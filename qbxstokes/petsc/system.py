@@ -89,6 +89,7 @@ class System:
             self._moving = CentredEquations(equations, start.state)
         self.layout = self._moving.layout
         self.native: Any = None
+        self._former: list[Any] = []
 
     def before_step(self) -> None:
         """Let the compiled right-hand side know what may have changed."""
@@ -179,6 +180,13 @@ class System:
             ts.setFromOptions()
         kind = str(ts.getType())
         self._by_lane = kind not in EXPLICIT_TYPES
+        if self.native is not None and hasattr(self.native, "solve_with") != self._by_lane:
+            # Functions for formulas of the other kind: what they have counted stays, and so do
+            # they, for integrators that live.
+            self.counter.evaluations += self.native.calls
+            self.counter.jacobians += self.native.jacobians
+            self._former.append(self.native)
+            self.native = None
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self._start.local_tolerance or self._guide.tolerance(kind)
         self.reachable = self._start.reachable or self._guide.reachable(kind)
