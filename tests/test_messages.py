@@ -111,6 +111,19 @@ def test_new_is_short_and_in_full(run_cli: Run, tmp_path: Path) -> None:
     assert len(run_cli("new", "--full").stdout.splitlines()) > 100
 
 
+def test_a_field_out_of_reach_is_told(write_case: Callable[..., Path], run_cli: Run) -> None:
+    """On standard error where it is missed, with its place where no grid will do."""
+    field = {"tolerance": 1e-18, "plane": {"shape": [3, 3]}, "check": 0, "vtk": False}
+    case = {"task": "field", "body": {"aspect_ratio": 0.2}, "flow": {"type": "shear"}}
+    done = run_cli(write_case({**case, "field": field}).name)
+    assert done.returncode == 0
+    assert "field.tolerance 1e-18 is missed: the slip on a surface is" in done.stderr
+    near = {"type": "stokeslet", "strength": [1, 0, 0], "position": [0, 0.25, 0.3]}
+    done = run_cli(write_case({**case, "flow": near, "field": field}).name)
+    assert done.returncode == 2
+    assert "flow: the flow varies too much over the body" in done.stderr
+
+
 def test_what_a_sweep_does_not_know_is_told(
     write_case: Callable[..., Path], run_cli: Run, tmp_path: Path
 ) -> None:

@@ -273,5 +273,6 @@ def resolving_grid(shape: Revolution, velocity: Velocity, tolerance: float) -> t
         if n_theta > MOST_NODES or not small.size:
             raise FlowError(
                 f"the flow varies too much over the body: {MOST_NODES} x {2 * MOST_NODES} points "
-                f"of the surface leave an error of {error:.1e}, more than {tolerance:.0e}"
+                f"of the surface leave an error of {error:.1e}, more than {tolerance:.0e}; "
+                "a larger tolerance, or what drives it farther away"
             )

@@ -33,7 +33,7 @@ _STRENGTH = {"stokeslet": "mu c^2/tau", "rotlet": "mu c^3/tau", "stresslet": "mu
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise Problem(f"is {describe(value)}", "a number with its unit, such as 10 um")
+        raise Problem(f"is {describe(value)}", "a number with its unit, such as 10 um or 5 1/s")
     return value
 
 

@@ -26,6 +26,7 @@ from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
 from qbxstokes.runs.shared_rows import RowTeam
 from qbxstokes.simulation.flow_around import Instant
+from qbxstokes.simulation.from_case import pointed
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def run_field(job: Job) -> dict[str, Any]:
         if folder is None:
             return {"result": str(done), "finished_before": True}
         job.interruption.listening = True
-        with compilation_told(comm, not job.options.quiet):
+        with compilation_told(comm, not job.options.quiet), pointed(loaded):
             summary = _computed(job, folder)
     return dict(comm.bcast(summary))
 

@@ -82,6 +82,12 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
         yield from loaded.case.units.scales.remarks
     for name in summary["unused_petsc_options"]:
         yield f"PETSc option -{name} was not used by anything"
+    field = loaded.case.field
+    if field is not None and (not loaded.case.coupled or "tolerance" in field.given_keys):
+        errors = summary["errors"] | summary.get("field", {}).get("errors", {})
+        if (slip := errors.get("no slip", 0.0)) > field.tolerance:
+            asked = f"field.tolerance {field.tolerance:g}"
+            yield f"{asked} is missed: the slip on a surface is {slip:.1e}"
     if compared is not None and summary["largest_error"] is None:
         why = summary.get("note") or "no closed form is known or asked for"
         yield f"compare.tolerance {compared:g} is held against nothing: {why}"

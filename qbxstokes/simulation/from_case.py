@@ -48,6 +48,8 @@ def pointed(loaded: LoadedCase) -> Iterator[None]:
         yield
     except SceneError as error:
         raise loaded.error(error.key, error.wrong, error.right) from None
+    except FlowError as error:
+        raise loaded.error(("flow", *error.key), str(error)) from None
 
 
 def body_of(loaded: LoadedCase, stokes_number: ArrayLike | None = None) -> Body:
