@@ -492,10 +492,32 @@ def test_no_more_is_read_at_once_than_a_tile() -> None:
 
 
 def test_paths_that_cannot_be_followed_are_told() -> None:
-    """A light body held in a strong gradient: no number of parts of an interval will do."""
+    """Far too strong a gradient: no number of parts of an interval will do."""
     rng = np.random.default_rng(0)
-    a = 3.0 * rng.normal(size=(6, 3, 3))
+    a = 1e6 * rng.normal(size=(6, 3, 3))
     a -= np.trace(a, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
     series = qs.GradientSeries(np.linspace(0.0, 20.0, 6), a, interpolation="hold")
     with pytest.raises(ConvergenceError, match="path 0: inertia"):
-        qs.ensemble(qs.Body(0.08, stokes_number=3e-4), series, orientation=[0.6, 0, 0.8])
+        qs.ensemble(qs.Body(0.5, stokes_number=0.01), series, orientation=[0.6, 0, 0.8])
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+@pytest.mark.parametrize(("k", "stokes"), [(0.03, 0.2), (5.0, 1e-3), (0.3, 1e-8)])
+def test_stiff_bodies_pass_kinks(interpolation: str, k: float, stokes: float) -> None:
+    """Against one a thousand times as close; axes and rates, in a few parts of each interval."""
+    times = np.linspace(0.0, 3.0, 31)
+    gradients = smooth_gradients(3, 2, times)
+    series = qs.GradientSeries(times, gradients, interpolation=interpolation)
+    one, close = (
+        qs.ensemble(
+            qs.Body(k, stokes_number=stokes),
+            series,
+            orientation=AXIS,
+            statistics={"keep": 2, "sampling": False},
+            tolerance=tolerance,
+        )
+        for tolerance in (1e-7, 1e-10)
+    )
+    assert one.axes is not None
+    assert np.abs(one.axes - close.axes).max() < 1e-8
+    assert np.abs(one.mean_in_time[0, 0] - close.mean_in_time[0, 0]).max() < 1e-7

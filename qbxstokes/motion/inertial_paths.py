@@ -9,8 +9,10 @@ along the axis, g = J'/J (Euler's equations; the torques are those of drag). In 
 are met at the five nodes of Radau's quadrature (Radau IIA, order 9; Hairer & Wanner, Solving
 Ordinary Differential Equations II, IV.5). The pull r v is solved for, since r is constant, and the
 rest is iterated: as fast for stiff bodies as for lazy ones, since what is left contracts as the
-turn within the interval. How fast the Legendre coefficients of v fall tells the error; an interval
-that is too long for it, or for the iteration, is divided.
+turn within the interval. How fast the Legendre coefficients of v fall tells the error, and how well
+the nodes know exp(-r t) what a start makes of it that is off what drag allows, as after a kink: the
+integral of v is right then, but for what the axis feels meanwhile. An interval that is too long for
+either, or for the iteration, is divided, for each path as it needs.
 
 Compiled by numba, which is imported with this module; arrays of lanes have them last, as in
 `paths`, and the time of an interval passes from 0 to 1.
@@ -31,8 +33,9 @@ from qbxstokes.motion.path_statistics import LANES
 inner = numba.njit(error_model="numpy", fastmath={"contract"})
 
 STAGES = 5
-# Iterations at most, times an interval is halved at most, and what rounding leaves of a rate.
-_MOST, _HALVINGS, _ROUNDING = 20, 16, 2e-15
+# Iterations at most, parts of an interval at most and the shortest one, what rounding leaves of a
+# rate, and the part, in times of relaxation, that a start off what drag allows is tried in.
+_MOST, _PARTS, _SHORTEST, _ROUNDING, _SUDDEN = 20, 200_000, 2.0**-44, 2e-15, 2.0
 
 
 def _radau() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -147,26 +150,43 @@ def places(p: Any, rate: Any, stage: int, place: Any) -> None:
 
 
 @inner
-def left_out(five: float, four: float, last: float, before: float, pull: float) -> float:
-    """Error of the integral of v, from the sizes of its Legendre coefficients (see `_radau`).
+def left_out(sizes: Any, b: int, pull: float, across: Any, turn: float, enough: float) -> Any:
+    """Errors of the integral of v and of v at the end, from its Legendre coefficients (`_radau`).
 
-    The quadrature is right to degree 8, where the coefficients have fallen further. A start off
-    what drag allows decays in 1/pull of the interval, unseen by the nodes.
+    The quadrature is right to degree 8, where the coefficients have fallen further. If that is not
+    enough: a start that is off decays as exp(-pull t), of which the nodes make `across`. What is
+    missing of it comes to its share in v over pull, and what the axis feels of it to the turn of
+    that. Last: whether it is the start that is to blame.
     """
-    fall = min(1.0, five / (four + 1e-300))
-    settled = min(1.0, last / (before + 1e-300))
-    return min(five * fall**2, last * settled**3 + 2.0 * five / (1.0 + pull))
+    fall = min(1.0, sizes[0, b] / (sizes[1, b] + 1e-300))
+    smooth = sizes[0, b] * fall * fall
+    if smooth <= enough:
+        return smooth, 0.0, False
+    settled = min(1.0, sizes[2, b] / (sizes[3, b] + 1e-300))
+    felt, mean = 0.0, 0.0
+    for i in range(STAGES):
+        decayed = math.exp(-pull * NODES[i])
+        felt = max(felt, abs(across[i, 0] - decayed))
+        mean += INTEGRALS[STAGES - 1, i] * decayed
+    start = sizes[0, b] / abs(ENDS[0, 0])
+    end = start * abs(across[STAGES - 1, 0] - math.exp(-pull))
+    sudden = end + start * turn * (felt + abs(mean + math.expm1(-pull) / pull))
+    sudden, slow = 2.0 * sudden / pull, sizes[2, b] * settled**3
+    return min(smooth, slow + sudden), end, sudden > slow
 
 
 @inner
-def collocate(m: Any, body: Any, tolerance: float, p: Any, w: Any, work: Any) -> None:
+def collocate(
+    m: Any, body: Any, tolerance: float, accepted: float, p: Any, w: Any, work: Any
+) -> None:
     """Axes p (3, LANES) and rates w (4, LANES) at the end of an interval, in place.
 
     m: powers of L times the length; w: v and s times the length; body: r and r' times the length,
-    g, and how many times the error of a rate counts. work: of `workroom`, in part. Lanes for which
-    the interval is too long are not `fine` and left where they are.
+    g, and how many times the error of a rate counts. tolerance: of the axis; accepted: of rates,
+    relative. work: of `workroom`, in part. Lanes for which the interval is too long are not `fine`
+    and left where they are, `sudden` ones for the sake of their start.
     """
-    nodes, place, rate, change, spin, turn, across, along, off, sizes, fine = work
+    nodes, place, rate, change, spin, turn, across, along, off, sizes, sudden, fine = work
     pull, spin_pull, ratio, weight = body
     relaxed(pull, across)
     relaxed(spin_pull, along)
@@ -205,10 +225,14 @@ def collocate(m: Any, body: Any, tolerance: float, p: Any, w: Any, work: Any) ->
             left += not fine[b]
         if left == 0:
             break
+    off[:] = 0.0
+    for i in range(9):
+        for b in range(LANES):
+            off[b] += nodes[0, i, b] ** 2 + nodes[STAGES - 1, i, b] ** 2
     for b in range(LANES):
         for i in range(4):
             sizes[i, b] = 0.0
-        size = 0.0
+        size, turned = 0.0, math.sqrt(off[b])
         for i in range(3):
             size += abs(w[i, b])
             for n in range(4):
@@ -216,8 +240,12 @@ def collocate(m: Any, body: Any, tolerance: float, p: Any, w: Any, work: Any) ->
                 for stage in range(STAGES):
                     value += ENDS[n, stage + 1] * rate[stage, i, b]
                 sizes[n, b] += abs(value)
-        error = left_out(sizes[0, b], sizes[1, b], sizes[2, b], sizes[3, b], pull)
-        fine[b] = fine[b] and weight * error <= max(tolerance, _ROUNDING * (1.0 + weight * size))
+        noise = _ROUNDING * (1.0 + weight * size)
+        enough = max(tolerance, noise)
+        error, end, sudden[b] = left_out(sizes, b, pull, across, turned, enough / weight)
+        known = end <= max(enough, accepted * max(size, turned))
+        sudden[b] = fine[b] and (sudden[b] or not known)
+        fine[b] = fine[b] and known and weight * error <= enough
     end = STAGES - 1
     places(p, rate, end, place[end])
     for b in range(LANES):
@@ -234,13 +262,14 @@ def collocate(m: Any, body: Any, tolerance: float, p: Any, w: Any, work: Any) ->
 
 @inner
 def workroom(degrees: int) -> Any:
-    """Arrays that `turn_inertial` and, from the sixth on, `collocate` work in."""
+    """Arrays that `turn_inertial` and, from the seventh on, `collocate` work in."""
     return (
         np.zeros((degrees, 9, LANES)),
         np.zeros((3, LANES)),
         np.zeros((4, LANES)),
-        np.zeros(LANES, np.bool_),
-        np.zeros(LANES, np.bool_),
+        np.zeros(LANES),
+        np.zeros(LANES),
+        np.zeros((2, LANES)),
         np.zeros((STAGES, 9, LANES)),
         np.zeros((STAGES, 3, LANES)),
         np.zeros((STAGES, 3, LANES)),
@@ -252,26 +281,44 @@ def workroom(degrees: int) -> Any:
         np.zeros(LANES),
         np.zeros((4, LANES)),
         np.zeros(LANES, np.bool_),
+        np.zeros(LANES, np.bool_),
     )
 
 
 @inner
-def part_of(m: Any, start: float, share: float, out: Any) -> None:
-    """The powers on [start, start + share] of the interval, in its own time, times `share`."""
-    degrees = m.shape[0]
-    for i in range(9):
-        for k in range(degrees):
+def part_of(m: Any, start: Any, share: Any, scale: Any, out: Any) -> None:
+    """The powers on [start, start + share], (LANES,), of the interval in its own time, times share.
+
+    Zero for lanes with a share of 0. scale (LANES,): to work in.
+    """
+    degrees, moved = m.shape[0], False
+    for b in range(LANES):
+        moved = moved or start[b] > 0.0
+        scale[b] = share[b]
+    for k in range(degrees):
+        for i in range(9):
             for b in range(LANES):
                 out[k, i, b] = m[k, i, b]
-        for k in range(degrees - 1):  # Horner's scheme, once for each derivative
+    for k in range(degrees):
+        if moved:  # Horner's scheme, once for each derivative
             for j in range(degrees - 2, k - 1, -1):
-                for b in range(LANES):
-                    out[j, i, b] += start * out[j + 1, i, b]
-        scale = share
-        for k in range(degrees):
+                for i in range(9):
+                    for b in range(LANES):
+                        out[j, i, b] += start[b] * out[j + 1, i, b]
+        for i in range(9):
             for b in range(LANES):
-                out[k, i, b] *= scale
-            scale *= share
+                out[k, i, b] *= scale[b]
+        for b in range(LANES):
+            scale[b] *= share[b]
+
+
+@inner
+def shorter(share: float, relaxation: float, sudden: bool) -> float:
+    """Share of an interval to try next: half, or at once that in which a start's decay shows."""
+    share *= 0.5
+    while sudden and share * relaxation > 2.0 * _SUDDEN:
+        share *= 0.5
+    return share
 
 
 @inner
@@ -281,45 +328,48 @@ def turn_inertial(
     """Axes p (3, LANES) and rates w (4, LANES), v and s, at the end of the interval, in place.
 
     m: powers of L times the length; relaxation: r, r' and g; span: of all intervals, over which
-    an error of a lazy body's rate goes on. Lanes that turn too far for the whole interval take it
-    in as many parts as each of them needs.
+    an error of a lazy body's rate goes on. Lanes that turn too far for the whole interval, or that
+    start off what drag allows, take it in parts of their own, halves of halves.
     """
-    part, q, u, done, good = work[:5]
-    fine = work[-1]
-    done[:] = False
+    part, q, u, start, share, pair = work[:6]
+    spare, taken = pair[0], pair[1]
+    sudden, fine = work[-2:]
     lasting = min(1.0 / relaxation[0], span) / length
-    count = 1
-    for _ in range(_HALVINGS):
-        share = 1.0 / count
+    start[:], share[:] = 0.0, 1.0
+    for _ in range(_PARTS):
+        now, first = 0.0, 1.0
         for b in range(LANES):
-            good[b] = True
+            if share[b] > 0.0 and (start[b] < first or (start[b] == first and share[b] > now)):
+                now, first = share[b], start[b]
+        if now == 0.0:
+            return
+        for b in range(LANES):
+            taken[b] = now if share[b] == now else 0.0
             for i in range(3):
                 q[i, b] = p[i, b]
             for i in range(4):
-                u[i, b] = w[i, b] * length * share
-        pulls = relaxation[0] * length * share, relaxation[1] * length * share
-        body = pulls[0], pulls[1], relaxation[2], 1.0 + lasting * count
-        for number in range(count):
-            part_of(m, number * share, share, part)
-            collocate(part, body, tolerance * share, q, u, work[5:])
-            left = 0
-            for b in range(LANES):
-                good[b] = good[b] and fine[b]
-                left += good[b] and not done[b]
-            if left == 0:
-                break
-        left = 0
+                u[i, b] = w[i, b] * length * taken[b]
+        part_of(m, start, taken, spare, part)
+        pulls = relaxation[0] * length * now, relaxation[1] * length * now
+        body = pulls[0], pulls[1], relaxation[2], 1.0 + lasting / now
+        collocate(part, body, tolerance * now, tolerance * span / length, q, u, work[6:])
         for b in range(LANES):
-            if good[b] and not done[b]:
-                done[b] = True
-                for i in range(3):
-                    p[i, b] = q[i, b]
-                for i in range(4):
-                    w[i, b] = u[i, b] * count / length
-            left += not done[b]
-        if left == 0:
-            return
-        count *= 2
+            if taken[b] == 0.0:
+                continue
+            if not fine[b]:
+                share[b] = shorter(now, relaxation[0] * length, sudden[b])
+                if share[b] < _SHORTEST:
+                    p[0, b], share[b] = math.nan, 0.0
+                continue
+            for i in range(3):
+                p[i, b] = q[i, b]
+            for i in range(4):
+                w[i, b] = u[i, b] / (length * now)
+            start[b] += now
+            if start[b] >= 1.0:
+                share[b] = 0.0
+            elif start[b] % (2.0 * now) == 0.0:
+                share[b] = 2.0 * now
     for b in range(LANES):
-        if not done[b]:
+        if share[b] > 0.0:
             p[0, b] = math.nan
