@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bispherical import Bispherical, brenner, near_wall
 
 import qbxstokes as qs
 from qbxstokes.bie.multiple_scattering import Placed, closest
@@ -12,7 +13,6 @@ from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.petsc.coupled import costs, dealt
-from qbxstokes.reference.bispherical import Bispherical, brenner, near_wall
 
 ORIGIN, SHEAR = [[0.0, 0.0, 0.0]], qs.flow("shear")
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
