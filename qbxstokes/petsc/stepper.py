@@ -232,6 +232,9 @@ class Run:
     def _to_break(self, t: float, start: Array) -> None:
         """One accepted step from t, up to the next break at most."""
         ts, breaks, system = self.ts, self._breaks, self._system
+        if not (len(breaks) or system.changes):
+            self._step(start)
+            return
         length, place = ts.getTimeStep(), int(breaks.searchsorted(t, "right"))
         last = place == len(breaks)
         limit = self._end if last else float(breaks[place])

@@ -126,6 +126,11 @@ class System:
             self.native.renew()
         return after if known >= after else known
 
+    @property
+    def changes(self) -> bool:
+        """Whether the flow is known piece by piece."""
+        return self._changing is not None
+
     def near(self, t: float) -> tuple[float, float]:
         """How far a step from t may go to see what the flow does, and where the flow jumps next."""
         return (math.inf, math.inf) if self._changing is None else self._changing.near(t)

@@ -7,6 +7,7 @@ is left at the end goes to rank 0 by a message.
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +39,18 @@ class Gathering:
         every: float = 30.0,
         most: int = MOST,
     ) -> None:
-        if comm.size > 1:
-            from mpi4py.util import pkl5
-
-            comm = pkl5.Intracomm(comm)  # whose messages hold arrays as they are, not copied
         self._comm, self.work, self._kind, self._joined = comm, work, kind, joined
         self.every, self._most = every, most
         self._items: list[Item] = []
         self._bytes, self.saved_at = 0, time.monotonic()
         self._waiting = [] if comm.rank else list(range(1, comm.size))
+
+    @cached_property
+    def _messages(self) -> Any:
+        """The communicator with messages that hold arrays as they are, not copies of them."""
+        from mpi4py.util import pkl5
+
+        return pkl5.Intracomm(self._comm)
 
     def add(self, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
         """Take a finished item."""
@@ -77,7 +81,7 @@ class Gathering:
         work again.
         """
         if self._comm.rank:
-            self._comm.send(self._items, dest=0, tag=_TAG)
+            self._messages.send(self._items, dest=0, tag=_TAG)
             return
         for path in self.work.parts(self._kind):
             rows, note = read_whole(path)
@@ -85,12 +89,12 @@ class Gathering:
         while self._items:
             yield self._items.pop(0)
         while self._waiting:
-            yield from self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
+            yield from self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
 
     def drain(self) -> None:
         """Take from the other ranks what nobody wants, so that none of them waits for ever."""
         while self._waiting:
-            self._comm.recv(source=self._waiting.pop(0), tag=_TAG)
+            self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
 
 
 class Keeper:
