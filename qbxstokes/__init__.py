@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from qbxstokes.case.load import load_case as load_case
+    from qbxstokes.errors import QbxStokesError as QbxStokesError
     from qbxstokes.flows import GradientSeries as GradientSeries
     from qbxstokes.flows import Series as Series
     from qbxstokes.flows import build_flow as build_flow
@@ -56,6 +57,7 @@ _PUBLIC = {
     "Simulation": "qbxstokes.simulation.simulation",
     "Spheroid": "qbxstokes.geometry.spheroid",
     "OverWall": "qbxstokes.simulation.wall_table",
+    "QbxStokesError": "qbxstokes.errors",
     "Suspension": "qbxstokes.simulation.suspension",
     "Repulsion": "qbxstokes.simulation.repulsion",
     "Series": "qbxstokes.flows",

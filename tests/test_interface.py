@@ -101,6 +101,20 @@ def test_wrong_shapes_are_named():
         qs.Body(-1.0)
 
 
+@pytest.mark.parametrize(
+    ("build", "told"),
+    [
+        (lambda: {"velocity": [1, 0, 0]}, "velocity has no meaning for a massless body"),
+        (lambda: {"loads": qs.Loads(torque=[1.0])}, r"torque has shape \(1,\)"),
+        (lambda: {"constraints": qs.Constraints(3.0)}, r"velocity has shape \(\)"),
+        (lambda: {"orientation": np.eye(3)[:2], "position": np.eye(3)}, "axes that broadcast"),
+    ],
+)
+def test_what_would_be_taken_for_something_else_is_refused(build, told):
+    with pytest.raises(qs.QbxStokesError, match=told):
+        qs.Body(0.5).integrate(qs.flow("shear"), [0, 1], **build())
+
+
 def test_no_mpi_or_petsc_before_an_equation_is_solved():
     """PETSc solves the integral equation, in a notebook as on the command line; nothing else."""
     code = """

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from qbxstokes.errors import SceneError
 from qbxstokes.geometry import rotation
 from qbxstokes.typing import Array
 
@@ -27,6 +28,9 @@ class Loads:
     torque: Vectors = (0.0, 0.0, 0.0)
     body_force: Vectors = (0.0, 0.0, 0.0)
     body_torque: Vectors = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _require_vectors(vars(self))
 
     @property
     def in_order(self) -> tuple[Vectors, Vectors, Vectors, Vectors]:
@@ -50,6 +54,9 @@ class Constraints:
     velocity: Vectors | None = None
     angular_velocity: Vectors | None = None
 
+    def __post_init__(self) -> None:
+        _require_vectors(vars(self))
+
     @classmethod
     def held(cls) -> Constraints:
         """Neither translates nor rotates."""
@@ -68,6 +75,13 @@ class Constraints:
     def repeated(self, count: int) -> Constraints:
         """The constraints of `count` times the same lanes."""
         return Constraints(_tiled(self.velocity, count), _tiled(self.angular_velocity, count))
+
+
+def _require_vectors(given: Mapping[str, Any]) -> None:
+    """Raise SceneError where what is given by name is neither None, a function nor (..., 3)."""
+    for name, vectors in given.items():
+        if vectors is not None and not callable(vectors) and np.shape(vectors)[-1:] != (3,):
+            raise SceneError(name, f"has shape {np.shape(vectors)}", "three numbers, or (..., 3)")
 
 
 def _tiled(vectors: Any, count: int) -> Any:

@@ -195,6 +195,10 @@ class Body(FormedBody):
         if stokes_number is not None:
             right = "qs.Body(..., stokes_number=...).integrate(...)"
             raise SceneError("stokes_number", "belongs to the body", right)
+        for name, given in (("velocity", velocity), ("angular_velocity", angular_velocity)):
+            if given is not None and not np.any(self.stokes_number):
+                right = "leave it out, or give the body a stokes_number"
+                raise SceneError(name, "has no meaning for a massless body", right)
         return Simulation(
             self,
             flow,

@@ -128,7 +128,10 @@ class Simulation:
     def _optional(self, name: str, values: ArrayLike | None) -> Array | None:
         if values is None:
             return None
-        return self._per_lane(name, np.asarray(values, dtype=np.float64), 3)
+        vectors = numbers(name, values, "three numbers, or (..., 3)")
+        if vectors.shape[-1:] != (3,):
+            raise SceneError(name, f"has shape {vectors.shape}", "three numbers, or (..., 3)")
+        return self._per_lane(name, vectors, 3)
 
     def __len__(self) -> int:
         """Number of lanes."""
@@ -301,7 +304,11 @@ def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, t
             "they end in 3, and in 3 (axis) or 4 (quaternion)",
         )
     q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
-    lead = np.broadcast_shapes(x.shape[:-1], q.shape[:-1])
+    try:
+        lead = np.broadcast_shapes(x.shape[:-1], q.shape[:-1])
+    except ValueError:
+        wrong = f"has shape {x.shape} and orientation {turn.shape}"
+        raise SceneError("position", wrong, "leading axes that broadcast") from None
     return (
         np.array(np.broadcast_to(x, (*lead, 3))).reshape(-1, 3),
         np.array(np.broadcast_to(q, (*lead, 4))).reshape(-1, 4),
