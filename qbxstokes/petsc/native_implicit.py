@@ -160,7 +160,9 @@ class NativeImplicit(NativeRate):
 
     @classmethod
     def made(cls, block: BlockConstants, layout: Layout) -> "NativeImplicit | None":
-        """None where calls have to go through Python."""
+        """None where calls have to go through Python: of a rotation alone for its Jacobian."""
+        if block.still is not None:
+            return None
         found = library()
         names = *_ARRAYS, *_SETTERS
         if found is None or layout.columns > 1 or not all(hasattr(found, name) for name in names):
