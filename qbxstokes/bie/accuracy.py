@@ -171,15 +171,9 @@ def accurate_body(
     return AccurateBody(model, body.functional, body.scheme)
 
 
-def plain_body(
-    shape: Revolution,
-    scheme: Scheme,
-    completion: Completion | None = "surface",
-    solver: SolverFactory = DirectSolver,
-    form_rows: RowFormer = layer_rows,
-) -> AccurateBody:
+def plain_body(shape: Revolution, scheme: Scheme) -> AccurateBody:
     """The body model of a given scheme; its estimate is the misfit of the polynomial law alone."""
-    body = _form(shape, scheme, completion, solver, form_rows)
+    body = _form(shape, scheme, "surface", DirectSolver, layer_rows)
     return AccurateBody(body.model, body.functional, scheme)
 
 

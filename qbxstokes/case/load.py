@@ -60,9 +60,9 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> LoadedCase:
     return checked(document, path)
 
 
-def case_of(keys: Mapping[str, Any], name: str = "case") -> LoadedCase:
+def case_of(keys: Mapping[str, Any]) -> LoadedCase:
     """The case of a dictionary of its keys; files that it names are in the working folder."""
-    return checked(document_of(keys, name), Path(f"{name}.yaml"))
+    return checked(document_of(keys), Path("case.yaml"))
 
 
 def checked(document: Document, path: Path) -> LoadedCase:

@@ -15,6 +15,8 @@ from qbxstokes.typing import Array
 # Least velocity gradient that residuals are compared with, in |u|/radius: the derivatives of a
 # user's function are differences and carry the rounding of the velocity.
 _LEAST_GRADIENT = 1e-3
+# Random points, and the residual that is accepted at them.
+_POINTS, _TOLERANCE = 40, 1e-6
 # Part of the variation over a sphere by which its mean may miss that of a regular flow.
 _IRREGULAR = 1e-5
 # Radii of the spheres about one centre, over that of the largest.
@@ -65,10 +67,7 @@ def check_stokesian(
     flow: Flow,
     centre: ArrayLike = (0.0, 0.0, 0.0),
     radius: float = 2.0,
-    seed: int = 0,
-    tolerance: float = 1e-6,
     t: float = 0.0,
-    n_points: int = 40,
     local: bool = False,
 ) -> StokesianReport:
     """Check div u = 0 and curl Lap u = 0 at random points of the ball |x - centre| < radius.
@@ -79,10 +78,10 @@ def check_stokesian(
     as at least 1e-3 |u|/radius. Honest user functions stay below 2e-7 (a stokeslet half a radius
     away is the worst seen), all other flows below 1e-8. local: where first and second derivatives
     at the centre alone move the body, div u = 0 is enough: they are those of a Stokes flow.
-    Raises FlowError with residual and point if one exceeds `tolerance`, or if the velocity is
+    Raises FlowError with residual and point if one exceeds 1e-6, or if the velocity is
     not finite somewhere.
     """
-    points = _points_in_ball(flow, np.asarray(centre, dtype=float), radius, seed, n_points)
+    points = _points_in_ball(flow, np.asarray(centre, dtype=float), radius, 0, _POINTS)
     with np.errstate(all="ignore"):
         velocity = flow.velocity(points, t)
         gradient = flow.gradient(points, t)
@@ -102,22 +101,22 @@ def check_stokesian(
     scale, speed = float(gradients.max()), float(speeds.max())
     scale = max(scale, _LEAST_GRADIENT * speed / radius)
     if scale == 0.0:
-        return StokesianReport(0.0, 0.0, points[0], tolerance)
+        return StokesianReport(0.0, 0.0, points[0], _TOLERANCE)
     residuals = np.stack([divergence, twist * radius**2]) / scale
     kind, index = np.unravel_index(residuals.argmax(), residuals.shape)
     worst = float(residuals[kind, index])
-    if worst > tolerance:
+    if worst > _TOLERANCE:
         what = (
             "divergence of the velocity" if kind == 0 else "curl of the Laplacian of the velocity"
         )
         small = "; a body much smaller than its scale may take hydrodynamics.derivatives: 1"
         raise FlowError(
             f"the flow is not Stokesian: the {what} is {worst:.3g} (relative to the velocity "
-            f"gradient) at {_text(points[index])} and must vanish to {tolerance:.3g}"
+            f"gradient) at {_text(points[index])} and must vanish to {_TOLERANCE:.3g}"
             + (small if kind and flow.degree is None else "")
         )
     return StokesianReport(
-        float(residuals[0].max()), float(residuals[1].max()), points[index].copy(), tolerance
+        float(residuals[0].max()), float(residuals[1].max()), points[index].copy(), _TOLERANCE
     )
 
 
@@ -140,9 +139,7 @@ def _unit_ball(seed: int, count: int) -> Array:
     return np.asarray(rng.uniform(size=(count, 1)) ** (1.0 / 3.0) * directions)
 
 
-def check_regular(
-    flow: Flow, centre: ArrayLike, axis: ArrayLike, shape: Outline, t: float = 0.0
-) -> None:
+def check_regular(flow: Flow, centre: ArrayLike, axis: ArrayLike, shape: Outline) -> None:
     """Refuse a flow that is singular inside the body, whether or not it says so.
 
     centre, axis (3,). Where a Stokes flow is regular, its mean over a sphere of radius r is
@@ -160,7 +157,7 @@ def check_regular(
     centres = middle + centres @ np.stack([first, np.cross(along, first), along])
     for start in range(0, len(radii), _AT_ONCE):
         balls = slice(start, start + _AT_ONCE)
-        excess = _irregularity(flow, centres[balls], radii[balls], t)
+        excess = _irregularity(flow, centres[balls], radii[balls])
         if np.any(excess > 1.0):  # what is not finite is left to the checks that say so
             worst = start + int(np.nanargmax(excess))
             raise FlowError(
@@ -170,17 +167,17 @@ def check_regular(
             )
 
 
-def _irregularity(flow: Flow, centres: Array, radii: Array, t: float) -> Array:
+def _irregularity(flow: Flow, centres: Array, radii: Array) -> Array:
     """Largest difference of (mean - u)/r^2 between two spheres over what it may be, (n,)."""
     with np.errstate(all="ignore"):
-        values = flow.velocity(centres, t)[:, None, :]
+        values = flow.velocity(centres)[:, None, :]
         noise = 1e-13 * np.abs(values).max(axis=(1, 2))
         terms, errors = [], []
         for part in _PARTS:
             means = []
             for nodes, weights in (_sphere(6), _sphere(8)):
                 points = centres[:, None, :] + part * radii[:, None, None] * nodes
-                moved = flow.velocity(points, t) - values
+                moved = flow.velocity(points) - values
                 means.append(np.einsum("bni,n->bi", moved, weights))
             rough, fine = means
             size = np.abs(moved).max(axis=(1, 2))

@@ -59,10 +59,10 @@ class ExteriorFlow:
         size = np.abs(self.coefficients).sum(axis=(0, 1))
         return np.asarray(size * np.sqrt(n + 0.5) * (n + 1.0) / min(k * k, 1.0))
 
-    def trimmed(self, tolerance: float = 1e-15) -> ExteriorFlow:
-        """The same flow without highest orders and degrees of relative amplitude <= tolerance."""
+    def trimmed(self) -> ExteriorFlow:
+        """The same flow without highest orders and degrees of relative amplitude <= 1e-15."""
         size = np.abs(self.coefficients).max(axis=0)
-        kept = np.argwhere(size > tolerance * size.max())
+        kept = np.argwhere(size > 1e-15 * size.max())
         if not len(kept):
             return self
         orders, degree = kept[:, 0].max() + 1, max(int(kept[:, 1].max()), 1)

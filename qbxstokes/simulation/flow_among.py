@@ -58,12 +58,12 @@ class FlowAmong:
             found |= self.problem.wall.height(points) < -SURFACE_MARGIN * scale
         return found
 
-    def carrying(self, points: Array, tolerance: float = 0.0) -> Array:
+    def carrying(self, points: Array) -> Array:
         """Velocity (N, 3) at points of all space: that of the bodies in them, of the wall behind.
 
         Continuous, so that a point which rounding puts into a body goes with it.
         """
-        found = self.evaluate(points, ("velocity",), tolerance)["velocity"]
+        found = self.evaluate(points, ("velocity",), 0.0)["velocity"]
         solution, wall = self.solution, self.problem.wall
         for b, body in enumerate(self.problem.bodies):
             here = body.shape.level(body.to_body(points)) < 1.0

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase, from_document
@@ -52,12 +51,12 @@ def pointed(loaded: LoadedCase) -> Iterator[None]:
         raise loaded.error(("flow", *error.key), str(error)) from None
 
 
-def body_of(loaded: LoadedCase, stokes_number: ArrayLike | None = None) -> Body:
-    """The body of a case; stokes_number: of several lanes in the place of the case's."""
+def body_of(loaded: LoadedCase) -> Body:
+    """The body of a case."""
     section = loaded.case.body
     return Body(
         shape=section.outline,
-        stokes_number=section.stokes_number if stokes_number is None else stokes_number,
+        stokes_number=section.stokes_number,
         inertia=section.inertia,
         hydrodynamics=loaded.case.hydrodynamics,
     )

@@ -37,13 +37,8 @@ if TYPE_CHECKING:
 _FLOW_SHARE = 0.1
 
 
-def form_stresslet(
-    body: FormedBody, workshop: Workshop | None = None, solvers: list[Any] | None = None
-) -> Stresslet:
-    """The stresslet of a body to its tolerance, from the cache if it is there; raises as `Body`.
-
-    solvers: takes the GMRES solvers that were used.
-    """
+def form_stresslet(body: FormedBody, workshop: Workshop | None = None) -> Stresslet:
+    """The stresslet of a body to its tolerance, from the cache if it is there; raises as `Body`."""
     workshop, section, shape = workshop or Workshop(), body.settings, body.shape
     fixed = explicit_scheme(section)
     scheme = fixed or choose_scheme(section.tolerance, side=side_of(section))
@@ -64,7 +59,7 @@ def form_stresslet(
         scheme,
         fixed=fixed is not None,
         strict=body.strict,
-        solver=solver_factory(section, [] if solvers is None else solvers),
+        solver=solver_factory(section, []),
         form_rows=workshop.form_rows,
     )
     if found.functional.grid.n_theta == scheme.n_theta:
