@@ -29,31 +29,25 @@ are those of the space frame; force and torque are exerted by the bodies ON the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from qbxstokes.bie.arrivals import MIRRORED, Arrivals, Workspace
 from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.qbx.confocal import Table
 from qbxstokes.typing import Array, ComplexArray, Integers
 
 SLOW = 1.3  # errors fall by exp(-SLOW a) a node, a the rate of the gap, or faster
 LEAST_NODES = 8
 STAGES = 4  # as good as one body after the other
-# Polar nodes that the grids of an error estimate have less; relative errors, in tolerances of the
-# problem, that both solutions may share, and of sums at mirrored points: second derivatives count.
-_LESS, _SHARED, _MIRRORED = 2, 0.1, 0.1
-# Points of a grid at most whose harmonics are of one degree, and how much more closely they are
-# summed on parts of one: high degrees are many.
-_TOGETHER, _CLOSER = 4096, 1e-3
-# Numbers of all tables together that are kept (8 bytes each) rather than made at every product.
-KEPT_NUMBERS = 1.5e8
+# Polar nodes that the grids of an error estimate have less; relative error, in tolerances of the
+# problem, that both solutions may share.
+_LESS, _SHARED = 2, 0.1
 
 
 @dataclass(frozen=True)
@@ -128,7 +122,7 @@ class Coupled:
 
     shares: of each process by body the circles of its grid that it holds; all by default. rank:
     of this process. tolerance: relative, to which far harmonics are left out. nodes: polar nodes
-    of each body.
+    of each body. workspace: memory that problems share.
     """
 
     bodies: Sequence[Placed]
@@ -137,8 +131,7 @@ class Coupled:
     tolerance: float = 1e-12
     shares: Sequence[Mapping[int, Integers]] | None = None
     rank: int = 0
-    _tables: dict[tuple[int, int, bool], list[tuple[Integers, Table]]] = field(default_factory=dict)
-    _kept: float = 0.0
+    workspace: Workspace = field(default_factory=Workspace)
 
     @cached_property
     def circles(self) -> Mapping[int, Integers]:
@@ -180,15 +173,15 @@ class Coupled:
         }
 
     @cached_property
-    def slices(self) -> list[slice]:
-        """Part of each own body in the vector of unknowns."""
-        ends = np.cumsum([0] + [3 * len(points) for points in self.held.values()])
-        return [slice(a, b) for a, b in pairwise(ends.tolist())]
+    def slices(self) -> dict[int, slice]:
+        """Rows of each own body among all points that are held."""
+        ends = np.cumsum([0] + [len(points) for points in self.held.values()])
+        return {b: slice(*ab) for b, ab in zip(self.rows, pairwise(ends.tolist()), strict=True)}
 
     @property
     def size(self) -> int:
         """Unknowns of this process."""
-        return int(self.slices[-1].stop) if self.slices else 0
+        return 3 * sum(len(points) for points in self.held.values())
 
     # -- how well it is solved ----------------------------------------------------------------
 
@@ -218,19 +211,18 @@ class Coupled:
         factor = max(2.0, 3.0 * left / max(1.0 - left, 1e-3))
         return change * factor + _SHARED * self.tolerance * size
 
-    def split(self, x: Array) -> list[Array]:
-        """Velocities (P, 3) on what is held of each body, from the vector of unknowns."""
-        parts = zip(self._roots, self.slices, strict=True)
-        return [x[part].reshape(-1, 3) / root for root, part in parts]
+    def split(self, x: Array) -> Array:
+        """Velocities (P, 3) on all that is held, from the vector of unknowns."""
+        return x.reshape(-1, 3) / self._roots
 
-    def joined(self, velocities: Sequence[Array]) -> Array:
+    def joined(self, velocities: Array) -> Array:
         """The vector of unknowns: velocities times the roots of the quadrature weights."""
-        parts = [(v * root).ravel() for v, root in zip(velocities, self._roots, strict=True)]
-        return np.concatenate([np.zeros(0), *parts])
+        return (velocities * self._roots).ravel()
 
     @cached_property
-    def _roots(self) -> list[Array]:
-        return [self.maps[b].root_weights[points] for b, points in self.held.items()]
+    def _roots(self) -> Array:
+        parts = [self.maps[b].root_weights[points] for b, points in self.held.items()]
+        return np.concatenate([np.zeros((0, 1)), *parts])
 
     # -- what a body sends out ----------------------------------------------------------------
 
@@ -269,88 +261,56 @@ class Coupled:
 
     # -- what arrives -------------------------------------------------------------------------
 
-    def _tables_on(self, c: int, b: int, mirrored: bool) -> Iterable[tuple[Integers, Table]]:
-        """Harmonics of body c on what is held of body b, of fewer degrees where it is farther.
-
-        In parts of the grid that are the same whoever holds them.
-        """
-        key = (c, b, mirrored)
-        if key in self._tables:
-            return self._tables[key]
-        held, large = self.held[b], len(self.points[b]) > _TOGETHER
-        degrees, x = self._degrees(c, self.points[b], mirrored, _CLOSER if large else 1.0)
-        parts: list[Integers] = [np.arange(len(x))]
-        if large:
-            parts = np.array_split(np.argsort(-degrees, kind="stable"), 8 * len(x) // _TOGETHER)
-        highest = [int(degrees[part].max()) for part in parts]
-        if len(held) < len(x):
-            place = np.full(len(x), -1)
-            place[held] = np.arange(len(held))
-            parts = [place[part] for part in parts]
-            parts = [part[part >= 0] for part in parts]
-        harmonics, x = self.maps[c].harmonics, x[held]
-        some = [(p, d) for p, d in zip(parts, highest, strict=True) if len(p)]
-        made = ((p, harmonics.table(x[p], d, mirrored)) for p, d in some)
-        size = (10 if mirrored else 4) * sum(len(p) * d * d for p, d in some)
-        if self._kept + size < KEPT_NUMBERS:
-            self._kept += size
-            self._tables[key] = list(made)
-            return self._tables[key]
-        return made
-
-    def _degrees(
+    def degrees(
         self, c: int, points: Array, mirrored: bool, closer: float = 1.0
     ) -> tuple[Integers, Array]:
         """Degrees of body c's harmonics that serve at points, and the points in its frame."""
         tolerance = closer * self.tolerance
         if mirrored:
             assert self.wall is not None
-            points, tolerance = self.wall.mirrored(points), _MIRRORED * tolerance
+            points, tolerance = self.wall.mirrored(points), MIRRORED * tolerance
         x = self.bodies[c].to_body(points)
         return self.maps[c].degrees_for(x, tolerance), x
 
     def reflected(self, c: int, flow: Array, points: Array) -> tuple[Array, Array]:
         """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's packed flow."""
-        assert self.wall is not None
-        degrees, x = self._degrees(c, points, True)
-        table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
-        found = np.zeros((len(points), 3)), np.zeros(len(points))
-        self._answer(c, flow, table, self.wall.height(points), np.arange(len(points)), *found)
-        return found
-
-    def _answer(self, c: int, flow: Array, table: Table, heights: Array, *where: Any) -> None:
-        """Add to the rows (P,) of velocity and pressure, as `where` gives them."""
         from qbxstokes.qbx.exterior_basis import add_answers
 
         assert self.wall is not None
-        body = self.bodies[c]
+        degrees, x = self.degrees(c, points, True)
+        table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
+        found = np.zeros((len(points), 3)), np.zeros(len(points))
+        body, heights = self.bodies[c], self.wall.height(points)
         normal = body.rotation.T @ self.wall.normal
-        given = table.points, table.values, flow, body.rotation, normal, body.size
-        add_answers(*given, heights, *where)
+        most = min(table.values.shape[2], flow.shape[1])
+        given = table.points, table.values, flow, most, body.rotation, normal, body.size
+        add_answers(*given, heights, np.arange(len(points)), *found)
+        return found
 
-    def arriving(self, b: int, flows: Mapping[int, Array]) -> Array:
-        """Velocity (P, 3) on what is held of body b, in its frame, of packed flows.
+    @cached_property
+    def arrivals(self) -> Arrivals:
+        """What arrives at the points that this process holds."""
+        return Arrivals(self, self.workspace)
 
-        flows: by body, with the wall's answers; its own arrives by the wall alone.
+    def arriving(self, flows: Mapping[int, Array]) -> Array:
+        """Velocities (P, 3) on all that is held here, in the bodies' frames, of packed flows.
+
+        flows: of all bodies, with the wall's answers.
         """
-        points = self.points[b][self.held[b]]
-        total, pressure = np.zeros((len(points), 3)), np.zeros(len(points))
-        heights = pressure if self.wall is None else self.wall.height(points)
-        for c, flow in flows.items():
-            for part, table in self._tables_on(c, b, False) if c != b else ():
-                table.add_velocity(flow, self.bodies[c].rotation, part, total)
-            for part, table in self._tables_on(c, b, True) if self.wall is not None else ():
-                self._answer(c, flow, table, heights[part], part, total, pressure)
-        return total @ self.bodies[b].rotation
+        total = np.zeros((self.size // 3, 3))
+        self.arrivals.send(flows)
+        self.arrivals.add(self.arrivals.pairs(np.isin(self.arrivals.of[0], list(flows))), total)
+        return total
 
     # -- data and results ---------------------------------------------------------------------
 
-    def background(self, velocity: Callable[[Array], Array]) -> list[Array]:
-        """A flow of space on what is held of each body, in their frames."""
-        return [
+    def background(self, velocity: Callable[[Array], Array]) -> Array:
+        """A flow of space (P, 3) on all that is held, in the bodies' frames."""
+        parts = [
             velocity(self.points[b][held]) @ self.bodies[b].rotation
             for b, held in self.held.items()
         ]
+        return np.concatenate([np.zeros((0, 3)), *parts])
 
     def to_body(self, b: int, motion: Array, forces: bool = False) -> Array:
         """Velocities (6,) of space, or force and torque, in the frame and units of body b's map."""
@@ -368,9 +328,13 @@ class Coupled:
             return np.concatenate([linear * body.size, angular * body.size**2])
         return np.concatenate([linear, angular / body.size])
 
-    def rigid_data(self, b: int, motion: Array) -> Array:
-        """Rigid motion (6,) of space on what is held of body b, in its frame."""
-        return np.tensordot(self.to_body(b, motion), self.maps[b].rigid[:, self.held[b]], 1)
+    def rigid_data(self, motions: Array) -> Array:
+        """Rigid motions (N, 6) of space on all that is held (P, 3), in the bodies' frames."""
+        parts = [
+            np.tensordot(self.to_body(b, motions[b]), self.maps[b].rigid[:, held], 1)
+            for b, held in self.held.items()
+        ]
+        return np.concatenate([np.zeros((0, 3)), *parts])
 
     def force(self, b: int, flow: Array) -> Array:
         """Force and torque (6,) that body b with a packed flow exerts on the fluid, in space."""

@@ -10,11 +10,13 @@ for each other asleep: the machine may have other work.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
+from qbxstokes.bie.arrivals import Pairs
 from qbxstokes.bie.multiple_scattering import Coupled
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.petsc.launch import finish_asleep
@@ -89,37 +91,63 @@ class CoupledSolver:
 
         return wait
 
-    def swept(self, unknowns: Array) -> tuple[dict[int, Array], dict[int, Array]]:
-        """Velocities here, met by what earlier stages send, and the packed flows of all."""
-        problem, flows = self.problem, dict[int, Array]()
-        own = dict(zip(problem.rows, problem.split(unknowns), strict=True))
-        wait: Callable[[], dict[int, Array]] = dict
-        for stage in problem.stages:
-            mine = [b for b in problem.rows if b in stage]
-            for b in mine:  # while the latest flows are on their way
-                own[b] = own[b] - problem.arriving(b, flows)
-            latest = wait()
-            for b in mine:
-                own[b] = own[b] - problem.arriving(b, latest)
+    @cached_property
+    def _ways(self) -> list[tuple[Pairs, Pairs, Pairs]]:
+        """By stage: what arrives there of stages before the last, of the last, and what it sends.
+
+        The latter to its own stage and to earlier ones.
+        """
+        stages, arrivals = self.problem.stages, self.problem.arrivals
+        place = np.array([[b in stage for b in range(len(self.problem.nodes))] for stage in stages])
+        source, target = np.argmax(place, axis=0)[arrivals.of]
+        return [
+            (
+                arrivals.pairs((target == s) & (source < s - 1)),
+                arrivals.pairs((target == s) & (source == s - 1)),
+                arrivals.pairs((source == s) & (target <= s)),
+            )
+            for s in range(len(stages))
+        ]
+
+    def swept(self, unknowns: Array, back: Array | None = None) -> tuple[Array, dict[int, Array]]:
+        """Velocities here, met by what earlier stages send, and the packed flows of all.
+
+        back: velocities (P, 3) to which is added what later stages send, and the own one.
+        """
+        problem, flows, latest = self.problem, dict[int, Array](), dict[int, Array]()
+        arrivals, own = problem.arrivals, problem.split(unknowns)
+        waiting: Pairs | None = None
+        met, wait = np.zeros_like(own), cast(Any, dict)
+        for stage, (early, late, later) in zip(problem.stages, self._ways, strict=True):
+            arrivals.add(early, met)  # while the latest flows are on their way
+            arrivals.send(latest := wait())
             flows |= latest
-            sent = {b: problem.flow(b, own[b], self.free) for b in mine}
+            arrivals.add(late, met)
+            mine = {b: rows for b, rows in problem.slices.items() if b in stage}
+            sent = {}
+            for b, rows in mine.items():
+                own[rows] -= met[rows]
+                sent[b] = problem.flow(b, own[rows], self.free)
             wait = self.gathered(sent, stage, lambda b: problem.maps[b].shape_of_flows)
-        return own, flows | wait()
+            if back is not None and waiting is not None:
+                arrivals.add(waiting, back)
+            waiting = later
+        arrivals.send(latest := wait())
+        if back is not None and waiting is not None:
+            arrivals.add(waiting, back)
+        return own, flows | latest
 
     def mult(self, mat: Any, x: Any, y: Any) -> None:
         """y = (I + (K - L) (I + L)^-1) x, see `bie.multiple_scattering`."""
         problem, unknowns = self.problem, x.getArray(readonly=1)
-        _, flows = self.swept(unknowns)
-        arriving, place = [], {b: at for at, stage in enumerate(problem.stages) for b in stage}
-        for b in problem.rows:
-            later = {c: flow for c, flow in flows.items() if place[c] >= place[b]}
-            arriving.append(problem.arriving(b, later))
-        y.setArray(unknowns + problem.joined(arriving))
+        back = np.zeros((problem.size // 3, 3))
+        self.swept(unknowns, back)
+        y.setArray(unknowns + problem.joined(back))
         if self._mpi is not None:  # PETSc's own sums over the ranks, next, wait awake
             finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
 
-    def solve(self, data: list[Array], guess: Array | None = None) -> Array:
-        """Unknowns held here, for `swept`, from data (P, 3) on what is held of each body.
+    def solve(self, data: Array, guess: Array | None = None) -> Array:
+        """Unknowns held here, for `swept`, from data (P, 3) on all that is held.
 
         Raises ConvergenceError.
         """
@@ -163,15 +191,20 @@ class _OwnImages:
         shares = problem.shares or ()
         self._cut = [b for b in range(len(problem.bodies)) if sum(b in s for s in shares) > 1]
         self._parts = []
-        for b, part in zip(problem.rows, problem.slices, strict=True):
-            velocities, flows = problem.maps[b].lowest
-            held, arriving = problem.held[b], [problem.arriving(b, {b: flow}) for flow in flows]
-            root = problem.maps[b].root_weights[held]
-            low, answers = (
+        arrivals = problem.arrivals
+        for b, rows in problem.slices.items():
+            (velocities, flows), held = problem.maps[b].lowest, problem.held[b]
+            own, answers = arrivals.pairs(np.all(arrivals.of == b, axis=0)), []
+            for flow in flows:
+                arrivals.send({b: flow})
+                arrivals.add(own, found := np.zeros((problem.size // 3, 3)), flow.shape[1])
+                answers.append(found[rows])
+            root, part = problem.maps[b].root_weights[held], slice(3 * rows.start, 3 * rows.stop)
+            low, back = (
                 (np.asarray(v) * root).reshape(len(flows), -1)
-                for v in (velocities[:, held], arriving)
+                for v in (velocities[:, held], answers)
             )
-            self._parts.append((b, part, low, answers))
+            self._parts.append((b, part, low, back))
         inner = self._summed({b: f @ y.T for b, _, f, y in self._parts}, 2)
         self._inner = {b: np.linalg.inv(np.eye(len(part)) + part) for b, part in inner.items()}
 

@@ -166,6 +166,15 @@ class Harmonics:
         tabulate(points, k, degree, orders, start, self.recurrence, second, values)
         return Table(points, values, rows, columns)
 
+    @cached_property
+    def start(self) -> Integers:
+        """Where the harmonics of each degree begin among those that are packed."""
+        return triangle(self.orders, self.degree)[2]
+
+    def columns(self, degree: int) -> int:
+        """Packed numbers up to a degree."""
+        return 2 * int(self.start[degree] + min(degree + 1, self.orders))
+
     def packed(self, c: ComplexArray) -> Array:
         """Coefficients (4, orders, degree + 1) as real and imaginary parts (4, 2 K), interleaved.
 
@@ -198,12 +207,6 @@ class Table:
     values: Array
     rows: Integers
     columns: Integers
-
-    def add_velocity(self, c: Array, turn: Array, at: Integers, total: Array) -> None:
-        """Add to rows `at` (P,) of total the velocity of packed c, turned by a matrix (3, 3)."""
-        from qbxstokes.qbx.exterior_basis import add_velocities
-
-        add_velocities(self.points, self.values, c, turn, at, total)
 
     def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
         """Velocity and pressure, with second derivatives all of WHAT but the stress."""

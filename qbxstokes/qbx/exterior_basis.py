@@ -89,16 +89,16 @@ def degrees_for(points, k, tolerance, most, degrees):  # type: ignore[no-untyped
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
-def add_velocities(points, table, c, turn, at, total):  # type: ignore[no-untyped-def]
+def add_velocities(points, table, c, most, turn, at, total):  # type: ignore[no-untyped-def]
     """Add the turned velocities of u_i = E B_i + d_i E (C - x . B), summed over E, to total[at].
 
-    table: of `tabulate`; c (4, 2 K), of its harmonics or more: real and imaginary parts of B_x,
-    B_y, B_z and C, interleaved; turn (3, 3); at (P,).
+    table: of `tabulate`; c (4, 2 K): real and imaginary parts of B_x, B_y, B_z and C, interleaved;
+    most: columns of both that are summed; turn (3, 3); at (P,).
     """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u, v, w = 0.0, 0.0, 0.0
-        for j in range(table.shape[2]):
+        for j in range(most):
             s = c[3, j] - x * c[0, j] - y * c[1, j] - z * c[2, j]
             e = table[0, i, j]
             u += e * c[0, j] + table[1, i, j] * s
@@ -110,21 +110,21 @@ def add_velocities(points, table, c, turn, at, total):  # type: ignore[no-untype
 
 @njit(cache=compiled_are_kept(), fastmath=True)
 def add_answers(  # type: ignore[no-untyped-def]
-    points, table, c, turn, normal, size, heights, at, velocity, pressure
+    points, table, c, most, turn, normal, size, heights, at, velocity, pressure
 ):
     """Add to velocity[at], turned, and pressure[at] a wall's answer to the flow of table and c.
 
     points (P, 3): mirrored, in the body frame and in its unit of length, size; heights (P,) of the
-    others above the wall; normal (3,): N of the wall, in the body frame. c, of fewer harmonics than
-    the table or more, else as in `add_velocities`. See `bie.multiple_scattering`; with the second
-    derivatives E_ij: grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B), p = -2 E_i B_i.
+    others above the wall; normal (3,): N of the wall, in the body frame; the rest as in
+    `add_velocities`. See `bie.multiple_scattering`; with the second derivatives E_ij:
+    grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B), p = -2 E_i B_i.
     """
     n0, n1, n2 = normal[0], normal[1], normal[2]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u0, u1, u2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         q0, q1, q2, p = 0.0, 0.0, 0.0, 0.0
-        for j in range(min(table.shape[2], c.shape[1])):
+        for j in range(most):
             b0, b1, b2 = c[0, j], c[1, j], c[2, j]
             s = c[3, j] - x * b0 - y * b1 - z * b2
             e, e0, e1, e2 = table[0, i, j], table[1, i, j], table[2, i, j], table[3, i, j]
@@ -149,3 +149,29 @@ def add_answers(  # type: ignore[no-untyped-def]
             velocity[at[i], a] += turn[a, 0] * v0 + turn[a, 1] * v1 + turn[a, 2] * v2
         lift, push = g0 * n0 + g1 * n1 + g2 * n2, q0 * n0 + q1 * n1 + q2 * n2
         pressure[at[i]] += (4.0 * h * push - 2.0 * p - 4.0 * lift) / size
+
+
+@njit(cache=compiled_are_kept())
+def add_arrivals(  # type: ignore[no-untyped-def]
+    blocks, values, points, flows, turns, normals, sizes, heights, at, most, velocity, pressure
+):
+    """Add to velocity (P, 3), and the wall's answers to pressure (P,), what blocks (M, 9) say.
+
+    A block: whether mirrored; its number, which turns, normals and sizes go by; where a packed flow
+    begins in flows and its width; columns and degree of its table; where that begins in values;
+    where its points begin in points, heights and at, and how many they are. most: columns that are
+    summed at most. See `bie.arrivals`.
+    """
+    for i in range(blocks.shape[0]):
+        mirrored, number, begin, width, columns = blocks[i, :5]
+        table, first, count = blocks[i, 6:]
+        c = flows[begin : begin + 4 * width].reshape((4, width))
+        x, where = points[first : first + count], at[first : first + count]
+        rows, few = (10 if mirrored else 4), min(columns, most)
+        e = values[table : table + rows * count * columns].reshape((rows, count, columns))
+        turn = turns[number]
+        if mirrored:
+            above, size = heights[first : first + count], sizes[number]
+            add_answers(x, e, c, few, turn, normals[number], size, above, where, velocity, pressure)
+        else:
+            add_velocities(x, e, c, few, turn, where, velocity)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.bie.arrivals import Workspace
 from qbxstokes.bie.multiple_scattering import Coupled, Placed, Plane
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
@@ -69,6 +70,7 @@ class Suspension:
         if not 1e-12 <= tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "between 1e-12 and 0.1")
         self.wall, self.tolerance, self.comm = surroundings, float(tolerance), comm
+        self._workspace = Workspace()
         self._known: Flow | None = None  # a polynomial that was found to be a flow: everywhere
 
     def __len__(self) -> int:
@@ -142,7 +144,8 @@ class Suspension:
         looser: factor on the errors of sums and solver.
         """
         chosen = list(nodes or self.grids(places))
-        problem = Coupled(places, self.plane, chosen, looser * _SUMS * self.tolerance)
+        tolerance = looser * _SUMS * self.tolerance
+        problem = Coupled(places, self.plane, chosen, tolerance, workspace=self._workspace)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
 
@@ -336,9 +339,9 @@ class Suspension:
         solver = self._solver(problem, False)
         found = []
         for motion, background in cases:
-            data = [problem.rigid_data(b, motion[b]) for b in problem.rows]
+            data = problem.rigid_data(motion)
             if background is not None:
-                data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
+                data -= problem.background(background)
             x = solver.solve(data)
             _, sent = solver.swept(x)
             flows = [problem.maps[b].harmonics.unpacked(sent[b]) for b in range(len(self))]
@@ -357,12 +360,12 @@ class Suspension:
         solver = self._solver(problem, True)
         alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
         driven = {b: flow for b, (_, flow) in enumerate(alone)}
-        data = [-problem.arriving(b, driven) for b in problem.rows]
+        data = -problem.arriving(driven)
         if background is not None:
-            data = [d - u for d, u in zip(data, problem.background(background), strict=True)]
+            data -= problem.background(background)
         x = solver.solve(data, guess)
         own, sent = solver.swept(x)
-        parts = {b: problem.alone(b, v)[1] for b, v in own.items()}
+        parts = {b: problem.alone(b, own[rows])[1] for b, rows in problem.slices.items()}
         less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
         motion = np.stack([problem.to_space(b, alone[b][0] - less[b]) for b in driven])
         flows = [problem.maps[b].harmonics.unpacked(driven[b] + sent[b]) for b in driven]
