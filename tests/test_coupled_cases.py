@@ -296,7 +296,7 @@ def test_one_body_in_free_space_knows_nothing_of_walls_and_others(tmp_path: Path
 import sys
 from qbxstokes.cli.main import run_command
 run_command(["case.yaml"])
-mine = "coupl among suspension scatter gap wall repulsion exterior_basis grid_choice".split()
+mine = "coupl among arriv suspension scatter gap wall repulsion exterior_basis grid_ch".split()
 own = [m for m in sys.modules if "qbxstokes" in m and m != "qbxstokes.flows.above_wall"]
 print("loaded", [m for m in own if any(word in m for word in mine)])
 """

@@ -88,7 +88,7 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
         if (slip := errors.get("no slip", 0.0)) > field.tolerance:
             asked = f"field.tolerance {field.tolerance:g}"
             yield f"{asked} is missed: the slip on a surface is {slip:.1e}"
-    if compared is not None and summary["largest_error"] is None:
+    if compared is not None and summary.get("largest_error") is None:
         why = summary.get("note") or "no closed form is known or asked for"
         yield f"compare.tolerance {compared:g} is held against nothing: {why}"
     if missed(loaded, summary):
@@ -97,7 +97,7 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
 
 def missed(loaded: LoadedCase, summary: dict[str, Any]) -> bool:
     """Whether an error exceeds `compare.tolerance`, or is not a number."""
-    limit, error = loaded.case.compare.tolerance, summary["largest_error"]
+    limit, error = loaded.case.compare.tolerance, summary.get("largest_error")
     return limit is not None and error is not None and not error <= limit
 
 

@@ -143,8 +143,7 @@ class Suspension:
 
         looser: factor on the errors of sums and solver.
         """
-        chosen = list(nodes or self.grids(places))
-        tolerance = looser * _SUMS * self.tolerance
+        chosen, tolerance = list(nodes or self.grids(places)), looser * _SUMS * self.tolerance
         problem = Coupled(places, self.plane, chosen, tolerance, workspace=self._workspace)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
@@ -372,8 +371,7 @@ class Suspension:
         solver.release()
 
         def again(nodes: list[int]) -> Solution:
-            coarser = self.problem(problem.bodies, nodes, _LOOSER)
-            return self.freed(coarser, loads, background)
+            return self.freed(self.problem(problem.bodies, nodes, _LOOSER), loads, background)
 
         (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
         return Solution(problem, flows, v, omega, force, torque, solver.latest, x, again)
