@@ -89,6 +89,16 @@ def test_inertial_motion_starts_where_it_is_told():
     assert motion.steps > 0
 
 
+def test_averages_and_means_of_a_single_motion():
+    times = np.linspace(0, 100, 301)
+    orbit = qs.Body(0.2).integrate(qs.flow("shear"), times, orientation=[1, 0, 1])
+    assert orbit.averages()["period"] == pytest.approx(jeffery.period(0.2))
+    stress = orbit.mean("particle_stress")
+    assert stress.each.shape == stress.mean.shape == (3, 3)
+    with pytest.raises(CaseError, match="orientations is"):
+        qs.rheology(qs.Body(0.2), qs.flow("shear"), np.inf, orientations={"orbits": [1.0]})
+
+
 def test_what_moved_is_told_with_its_new_place():
     with pytest.raises(CaseError, match=r"belongs to the body; qs\.Body\(..., stokes_number"):
         qs.Body(0.5).integrate(qs.flow("shear"), [1.0], stokes_number=5.0)

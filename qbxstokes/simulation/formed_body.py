@@ -56,8 +56,8 @@ class FormedBody:
         hydrodynamics: Mapping[str, Any] | Hydrodynamics | None = None,
     ) -> None:
         self.shape = build_shape(aspect_ratio, length_over_diameter, shape)
-        if not 0.0 < size < math.inf:
-            raise SceneError("size", f"is {size:g}", "positive and finite")
+        if not isinstance(size, int | float | np.number) or not 0.0 < size < math.inf:
+            raise SceneError("size", f"is {size!r}", "positive and finite")
         self.size = float(size)
         self.stokes_number: Array = numbers("stokes_number", stokes_number, "0 (massless) or more")
         if not np.all(self.stokes_number >= 0.0):

@@ -186,12 +186,13 @@ class Motion:
         }
         found = self._assembled.averages(self.time, samples, discard)
         lanes = self.position.shape[:-2]
-        return {name: values.reshape(*lanes, *values.shape[1:]) for name, values in found.items()}
+        return {name: values.reshape((*lanes, *values.shape[1:])) for name, values in found.items()}
 
     def mean(self, name: str, discard: float = 0.0) -> Mean:
         """Mean of a quantity over whole turns, and over the lanes, with its errors.
 
         name: such as "particle_stress"; discard: the first part of the time, which is left out.
+        Where no whole turn is known the mean is over all of the time.
 
         >>> import numpy as np, qbxstokes as qs
         >>> scene = qs.Simulation(
@@ -206,7 +207,7 @@ class Motion:
         period = np.asarray(self.averages(discard)["period"]).ravel()
         found = mean_of(self.time, self._rows(getattr(self, name)), period, discard)
         lanes = self.position.shape[:-2]
-        return replace(found, each=found.each.reshape(*lanes, *found.each.shape[1:]))
+        return replace(found, each=found.each.reshape((*lanes, *found.each.shape[1:])))
 
     def errors(self) -> dict[str, float]:
         """Largest errors against closed forms and independent integrations, by name.

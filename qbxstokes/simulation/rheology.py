@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
+from qbxstokes.simulation.arguments import numbers as as_numbers
 from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -202,7 +203,8 @@ def starts_of(orientations: ArrayLike | str, weights: ArrayLike | None, numbers:
     if np.any(np.isfinite(numbers)):
         right = "peclet_number: inf, or isotropic orientations"
         raise SceneError("orientations", "are forgotten by Brownian motion", right)
-    axes = np.atleast_2d(np.asarray(orientations, dtype=np.float64))
+    right = "isotropic, or axes (n, 3) with weights (n,)"
+    axes = np.atleast_2d(as_numbers("orientations", orientations, right))
     lengths = np.linalg.norm(axes, axis=-1)
     if axes.ndim != 2 or axes.shape[1] != 3 or not len(axes) or not np.all(lengths > 0.0):
         raise SceneError("orientations", f"have shape {axes.shape}", "axes (n, 3), none of them 0")

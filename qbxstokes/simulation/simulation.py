@@ -167,7 +167,7 @@ class Simulation:
 
     def shaped(self, values: Array) -> Array:
         """Values (n, ...) of the lanes in the shape of the leading axes."""
-        return values.reshape(*self.lanes, *values.shape[1:])
+        return values.reshape((*self.lanes, *values.shape[1:]))
 
     # -- what the scene is --------------------------------------------------------------------
 

@@ -381,6 +381,8 @@ class Suspension:
         if not np.all(np.isfinite(given)):
             raise SceneError("bodies", "got vectors that are not finite", "finite numbers")
         try:
+            if given.shape[-1:] != (3,):
+                raise ValueError
             return np.array(np.broadcast_to(given, (len(self), 3)))
         except ValueError:
             raise SceneError(
