@@ -184,6 +184,8 @@ def test_gradients_in_space_are_those_of_the_whole_flow():
 
 def test_what_is_no_exterior_field_is_refused():
     one = body(0.5)
+    with pytest.raises(SceneError, match=r"velocity has shape \(2048, 2\)"):
+        qs.Body(0.5).exterior(lambda x: x[:, :2])
     with pytest.raises(SceneError, match="has the net flux"):
         one.exterior(lambda x: x)
     with pytest.raises(SceneError, match="not finite"):

@@ -26,7 +26,7 @@ from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import WHAT
 from qbxstokes.qbx.operator import Scheme, independent_rows, layer_rows
-from qbxstokes.simulation.arguments import require_flow
+from qbxstokes.simulation.arguments import numbers, require_flow
 from qbxstokes.simulation.hydrodynamics import explicit_scheme, side_of, solver_factory
 from qbxstokes.simulation.simulation import places
 from qbxstokes.typing import AnyArray, Array
@@ -203,7 +203,9 @@ def exterior_field(
         function = velocity
 
         def boundary(x: Array) -> Array:
-            u = np.asarray(function(x), dtype=np.float64)
+            u = numbers("velocity", function(x), "a function of points (N, 3)")
+            if u.shape not in (x.shape, (3,)):
+                raise SceneError("velocity", f"has shape {u.shape}", f"{x.shape} or (3,)")
             return _checked("velocity", np.broadcast_to(u, x.shape))
 
         few = SurfaceGrid(shape, 32, 64)
@@ -212,7 +214,8 @@ def exterior_field(
         grid = SurfaceGrid(shape, n_theta, n_phi)
         return ExteriorField(grid, boundary(grid.points), None, boundary, None, tolerance)
     name = "velocity" if density is None else "density"
-    values = np.asarray(velocity if density is None else density, dtype=np.float64)
+    right = "a function of points (N, 3), or values on the points of `surface`"
+    values = numbers(name, velocity if density is None else density, right)  # type: ignore[arg-type]
     if values.ndim != 3 or values.shape[2] != 3 or min(values.shape[:2]) < 4:
         right = "(n_theta, n_phi, 3), at least 4 x 4, on the points of `surface`"
         raise SceneError(name, f"has shape {values.shape}", right)
