@@ -99,6 +99,12 @@ def test_averages_and_means_of_a_single_motion():
         qs.rheology(qs.Body(0.2), qs.flow("shear"), np.inf, orientations={"orbits": [1.0]})
 
 
+def test_rounding_of_a_body_at_rest_is_no_error():
+    case = {"body": {"aspect_ratio": 0.5}, "flow": {"type": "shear"}, "time": {"end": 3.0}}
+    found = qs.run({**case, "hydrodynamics": {"solve": "every_step"}})
+    assert found.summary["largest_error"] < 1e-10
+
+
 def test_what_moved_is_told_with_its_new_place():
     with pytest.raises(CaseError, match=r"belongs to the body; qs\.Body\(..., stokes_number"):
         qs.Body(0.5).integrate(qs.flow("shear"), [1.0], stokes_number=5.0)

@@ -86,7 +86,7 @@ class _References:
         if not isinstance(shape, Spheroid):
             self.found.note = f"no closed forms for a {shape}"
             return
-        self.k = shape.aspect_ratio
+        self.k, self.arm = shape.aspect_ratio, shape.radius
         self.flow, self.loads = scene.flow, scene.loads
         self.bound = scene.constraints or Constraints()
         self.x0, self.q0 = scene.position[0], scene.quaternion[0]
@@ -121,6 +121,15 @@ class _References:
         elif not self._chwang_plane():
             self.found.note = "no closed form for an inertial body in this flow and orientation"
 
+    @property
+    def _rate(self) -> float:
+        """Largest velocity gradient on the way: times the body's radius what velocities stand for.
+
+        Those of a body that the flow leaves at rest are rounding.
+        """
+        gradient = self.polynomial.gradient(self.samples["position"])
+        return float(np.linalg.norm(gradient, axis=(-2, -1)).max())
+
     def _resistance(self, model: BodyModel) -> None:
         exact = Resistance(*faxen.resistance(self.k)).matrix
         ratio = np.diag(model.resistance.matrix) / np.diag(exact)
@@ -154,11 +163,12 @@ class _References:
         if not self.stokes:
             if self.bound.velocity is None:
                 exact = u + axial(axis, f, 1.0 / across, 1.0 / along)
-                self.found.add("velocity", name, relative(v, exact))
+                error = relative(v, exact, self._rate * self.arm)
+                self.found.add("velocity", name, error)
             if self.bound.angular_velocity is None:
                 exact = omega + axial(axis, m, 1.0 / turning, 1.0 / spinning)
                 if np.any(np.abs(exact) > 0.0):
-                    self.found.add("angular_velocity", name, relative(w, exact))
+                    self.found.add("angular_velocity", name, relative(w, exact, self._rate))
         still = not np.any(m) and np.abs(w).max() <= 1e-14 and flow.degree == 0
         if still and self.bound.velocity is None and np.all(f == f[0]):
             self._settling(u, f)
@@ -191,8 +201,9 @@ class _References:
         )
         name = "Chwang's and Faxen's laws" if flow.degree > 1 else "Jeffery's formula"
         if np.any(velocity) or np.any(self.samples["velocity"]):
-            self.found.add("free_velocity", name, relative(self.samples["velocity"], velocity))
-        error = relative(self.samples["angular_velocity"], spin)
+            error = relative(self.samples["velocity"], velocity, self._rate * self.arm)
+            self.found.add("free_velocity", name, error)
+        error = relative(self.samples["angular_velocity"], spin, self._rate)
         self.found.add("free_angular_velocity", name, error)
 
     def _jeffery_orbit(self) -> None:
@@ -211,7 +222,7 @@ class _References:
         distance = np.linalg.norm(axis - exact, axis=-1)
         self.found.add("axis", "Jeffery's orbit", distance.max())
         initial = float(jeffery.orbit_constant(k, start))
-        if 0.0 < initial < _TUMBLING:
+        if 1.0 / _TUMBLING < initial < _TUMBLING:
             drift = self.samples.get("largest_orbit_drift")
             if drift is None:
                 drift = orbit_drift(self.samples["orbit_constant"])
@@ -302,9 +313,9 @@ def external(times: Array, orientation: Array, loads: Loads | None) -> tuple[Arr
     )
 
 
-def relative(values: Array, exact: Array) -> float:
-    """Largest distance over the samples, relative to the largest exact vector."""
-    scale = np.linalg.norm(exact, axis=-1).max()
+def relative(values: Array, exact: Array, least: float = 0.0) -> float:
+    """Largest distance over the samples, relative to the largest exact vector, `least` at least."""
+    scale = max(float(np.linalg.norm(exact, axis=-1).max()), least)
     return float(np.linalg.norm(values - exact, axis=-1).max() / (scale or 1.0))
 
 
