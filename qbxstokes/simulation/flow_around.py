@@ -97,25 +97,13 @@ class AroundBody:
         if self.operators is None:
             self.form(instant)
         turn, flow = instant.rotation, self.flow
-        disturbance: Disturbance
-        if instant.velocity is None or instant.angular_velocity is None:
-            disturbance = mobility_disturbance(
-                self.operators,
-                self._background(instant),
-                turn.T @ instant.force,
-                turn.T @ instant.torque,
-                self._solver,
-                flow.degree,
-            )
-        else:
-            disturbance = resistance_disturbance(
-                self.operators,
-                self._background(instant),
-                turn.T @ instant.velocity,
-                turn.T @ instant.angular_velocity,
-                self._solver,
-                flow.degree,
-            )
+        solve: Callable[..., Disturbance] = resistance_disturbance
+        vectors = instant.velocity, instant.angular_velocity
+        if any(vector is None for vector in vectors):
+            solve, vectors = mobility_disturbance, (instant.force, instant.torque)
+        in_body = [turn.T @ np.asarray(vector) for vector in vectors]
+        background = self._background(instant)
+        disturbance = solve(self.operators, background, *in_body, self._solver, flow.degree)
         around = FlowAround(disturbance, flow, instant.position, turn, instant.time)
         self._latest = instant, around
         return around
