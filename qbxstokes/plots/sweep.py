@@ -243,8 +243,10 @@ def _measured(sweep: SweepLike, columns: Columns) -> Drawings:
     time = "wall_time" if "wall_time" in columns.values else "setup_time"
     if not section.get("measure") or not np.isfinite(columns["error"]).any():
         return {}
-    by = parted(swept_axes(sweep), time)
-    return {"error": partial(figure_of, columns, {"x": time, "y": "error", "by": by})}
+    spec: dict[str, Any] = {"x": time, "y": "error", "by": parted(swept_axes(sweep), time)}
+    if np.nanmin(columns["error"]) > 0.0:
+        spec["scale"] = "loglog"
+    return {"error": partial(figure_of, columns, spec)}
 
 
 def _says(columns: Columns, name: str) -> bool:
