@@ -149,11 +149,6 @@ class CoupledSimulation(Simulation):
         """Whether no load depends on time."""
         return self._rows is None or self._rows.steady
 
-    @property
-    def massless(self) -> bool:
-        """Whether the bodies have no inertia."""
-        return not np.any(self.stokes_number)
-
     @cached_property
     def gradient(self) -> Array:
         """Velocity gradient (3, 3) at the first body's start."""
