@@ -104,4 +104,23 @@ def compiled_are_kept() -> bool:
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
         if "numba" in sys.modules:
             sys.modules["numba"].config.CACHE_DIR = str(folder)
+    if "numba" in sys.modules:
+        _spare_linear_algebra()
     return folder is not None
+
+
+def _spare_linear_algebra() -> None:
+    """Let numba take BLAS for granted where SciPy is.
+
+    It looks by importing all of SciPy's linear algebra, a twentieth of a short run, and does so
+    again where a function needs it.
+    """
+    looked_for = "scipy.linalg.cython_blas"
+    if looked_for in sys.modules or "numba.np.arraymath" in sys.modules:
+        return
+    sys.modules[looked_for] = None  # type: ignore[assignment]
+    try:
+        from numba.np import arraymath
+    finally:
+        del sys.modules[looked_for]
+    arraymath._HAVE_BLAS = "scipy" in sys.modules

@@ -29,7 +29,6 @@ from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.closed_forms import exact_model
-from qbxstokes.simulation.flow_around import AroundBody
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
@@ -176,6 +175,8 @@ def _sampling(run: LaneRun, quantities: tuple[str, ...]) -> float:
 
 def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
     """What the points of `task: field` take after the start, from the set-up and some of them."""
+    from qbxstokes.simulation.flow_around import AroundBody
+
     section, begin, body = loaded.case.field, time.process_time(), plan.simulation.body
     assert section is not None
     instant = instant_of(section, plan.simulation)

@@ -1,18 +1,23 @@
 """Points at which a field is wanted: grids by formula, piece by piece, and lists from files."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from qbxstokes.case.field import Box, FieldSection, Plane, Points, Shells
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.from_case import end_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.tables import TableError, read_table
 from qbxstokes.typing import Array
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.flow_around import Instant
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,8 @@ def targets_of(loaded: LoadedCase, section: FieldSection) -> list[Targets]:
 
 def instant_of(section: FieldSection, start: Simulation) -> Instant:
     """The body where it starts, free or moving as the section says; the bodies, if several."""
+    from qbxstokes.simulation.flow_around import Instant
+
     given = section.body != "free"
     return Instant(
         0.0,
