@@ -61,65 +61,74 @@ class Arrivals:
         self._widths = [one.shape_of_flows[1] for one in problem.maps]
         self._flows = np.cumsum([0] + [4 * width for width in self._widths])
         self.flows = np.zeros(int(self._flows[-1]))
-        ends = np.cumsum([0] + [len(held) for held in problem.held.values()])
-        self._first = dict(zip(problem.rows, ends.tolist(), strict=False))
-        self._count = int(ends[-1])
-        self._heights = np.zeros(self._count)
+        parts = [np.zeros((0, 3)), *(problem.points[b][held] for b, held in problem.held.items())]
+        self._places = [np.concatenate(parts)]  # and mirrored
+        heights = np.zeros(len(self._places[0]))
         if problem.wall is not None:
-            for b, held in problem.held.items():
-                begin = self._first[b]
-                heights = problem.wall.height(problem.points[b][held])
-                self._heights[begin : begin + len(held)] = heights
+            heights = problem.wall.height(self._places[0])
+            self._places.append(problem.wall.mirrored(self._places[0]))
         self._lay()
+        self._above = heights[self._at]
 
     def _lay(self) -> None:
         """List the blocks, with the degrees of their harmonics."""
-        problem, blocks, rows, turns = self._problem, [], [], []
+        problem, blocks, rows = self._problem, [], [np.zeros(0, dtype=np.int64)]
         of: list[tuple[int, int]] = []
         table = point = 0
-        for c, (one, source) in enumerate(zip(problem.maps, problem.bodies, strict=True)):
-            for b in problem.rows:
-                for mirrored in (False, True):
-                    if (b == c and not mirrored) or (mirrored and problem.wall is None):
+        for mirrored in range(len(self._places)):
+            degrees = self._highest(bool(mirrored))
+            for c, one in enumerate(problem.maps):
+                for i, (b, here) in enumerate(problem.slices.items()):
+                    if b == c and not mirrored:
                         continue
-                    for part, degree in self._parts(c, b, mirrored):
+                    for part, degree in self._parts(c, b, bool(mirrored), int(degrees[c, i])):
                         columns = one.harmonics.columns(degree)
                         size = (10 if mirrored else 4) * len(part) * columns
                         kept = table + size <= KEPT_NUMBERS
                         where = self._flows[c], self._widths[c], columns, degree
-                        blocks.append(
-                            [
-                                *(int(mirrored), len(of), *where),
-                                *(table if kept else -1, point, len(part)),
-                            ]
-                        )
-                        rows.append(part + self._first[b])
+                        begin = (table if kept else -1), point, len(part)
+                        blocks.append((mirrored, len(of), *where, *begin))
+                        rows.append(part + here.start)
                         of.append((c, b))
-                        turns.append(problem.bodies[b].rotation.T @ source.rotation)
                         table += size if kept else 0
                         point += len(part)
         self._blocks = np.array(blocks, dtype=np.int64).reshape(-1, 9)
         self.of = np.array(of, dtype=np.int64).reshape(-1, 2).T
-        self._turns = np.array(turns).reshape(-1, 3, 3)
-        self._at = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+        self._at = np.concatenate(rows)
         self._points, self._size = np.empty((point, 3)), table
+        turns = np.stack([body.rotation for body in problem.bodies])
+        source, target = turns[self.of]
+        self._turns = np.swapaxes(target, 1, 2) @ source
         normal = np.zeros(3) if problem.wall is None else problem.wall.normal
-        self._normals = np.array([problem.bodies[c].rotation.T @ normal for c, _ in of])
-        self._normals = self._normals.reshape(-1, 3)
-        self._sizes = np.array([problem.bodies[c].size for c, _ in of], dtype=float)
-        self._above = self._heights[self._at]
+        self._normals = normal @ source
+        self._sizes = np.array([body.size for body in problem.bodies], dtype=float)[self.of[0]]
 
-    def _parts(self, c: int, b: int, mirrored: bool) -> list[tuple[Integers, int]]:
+    def _highest(self, mirrored: bool) -> Integers:
+        """Degrees (N, B) that harmonics of each body take at most on those that are held here."""
+        from qbxstokes.qbx.exterior_basis import highest_degrees
+
+        problem = self._problem
+        ends = np.cumsum([0] + [len(points) for points in problem.points.values()])
+        points, tolerance = np.concatenate([np.zeros((0, 3)), *problem.points.values()]), 1.0
+        if mirrored and problem.wall is not None:
+            points, tolerance = problem.wall.mirrored(points), MIRRORED
+        tolerance *= problem.tolerance
+        found = np.empty((len(problem.maps), len(ends) - 1), dtype=np.int64)
+        for c, (one, body) in enumerate(zip(problem.maps, problem.bodies, strict=True)):
+            k, most = one.harmonics.ratio_of_axes, one.harmonics.degree
+            about = body.position, body.rotation, float(body.size), k, tolerance, most
+            highest_degrees(points, ends, *about, found[c])
+        return found
+
+    def _parts(self, c: int, b: int, mirrored: bool, highest: int) -> list[tuple[Integers, int]]:
         """Parts of what is held of body b, with the degree of body c's harmonics there.
 
         In parts of the grid that are the same whoever holds them.
         """
-        problem, held = self._problem, self._problem.held[b]
-        points = problem.points[b]
-        large = len(points) > _TOGETHER
-        degrees, _ = problem.degrees(c, points, mirrored, _CLOSER if large else 1.0)
-        if not large:
-            return [(np.arange(len(held)), int(degrees.max()))] if len(held) else []
+        problem, held, points = self._problem, self._problem.held[b], self._problem.points[b]
+        if len(points) <= _TOGETHER:
+            return [(np.arange(len(held)), highest)] if len(held) else []
+        degrees, _ = problem.degrees(c, points, mirrored, _CLOSER)
         order = np.argsort(-degrees, kind="stable")
         place = np.full(len(points), -1)
         place[held] = np.arange(len(held))
@@ -130,30 +139,18 @@ class Arrivals:
                 found.append((here[here >= 0], int(degrees[part].max())))
         return found
 
-    def _fill(self, block: Integers, values: Array, table: int) -> None:
-        """Make the points and the table of a block."""
-        from qbxstokes.qbx.exterior_basis import tabulate
+    def _fill(self, blocks: Integers, values: Array) -> None:
+        """Make the points and the tables of blocks, one body after the other."""
+        from qbxstokes.qbx.exterior_basis import tabulate_blocks
 
-        mirrored, number, _, _, columns, degree, _, first, count = block.tolist()
-        problem, (c, b) = self._problem, self.of[:, number].tolist()
-        harmonics, part = problem.maps[c].harmonics, slice(first, first + count)
-        points = problem.points[b][problem.held[b][self._at[part] - self._first[b]]]
-        if mirrored:
-            assert problem.wall is not None
-            points = problem.wall.mirrored(points)
-        self._points[part] = problem.bodies[c].to_body(points)
-        rows = 10 if mirrored else 4
-        end = table + rows * count * columns
-        tabulate(
-            self._points[part],
-            harmonics.ratio_of_axes,
-            degree,
-            min(degree + 1, harmonics.orders),
-            harmonics.start,
-            harmonics.recurrence,
-            bool(mirrored),
-            values[table:end].reshape(rows, count, columns),
-        )
+        source, problem = self.of[0, blocks[:, 1]], self._problem
+        for mirrored, points in enumerate(self._places):
+            for c in np.unique(source).tolist():
+                some = blocks[(source == c) & (blocks[:, 0] == mirrored)]
+                body, h = problem.bodies[c], problem.maps[c].harmonics
+                about = body.position, body.rotation, float(body.size), h.ratio_of_axes
+                by = *about, h.orders, h.start, h.recurrence
+                tabulate_blocks(some, self._at, points, *by, values, self._points)
 
     def pairs(self, wanted: Any) -> Pairs:
         """The blocks that are wanted (M,), by the bodies that they are `of`."""
@@ -178,15 +175,14 @@ class Arrivals:
 
         if self._workspace.owner is not self:
             values = self._workspace.take(self, self._size)
-            for block in self._blocks[self._blocks[:, 6] >= 0]:
-                self._fill(block, values, int(block[6]))
+            self._fill(self._blocks[self._blocks[:, 6] >= 0], values)
         about = self._points, self.flows, self._turns, self._normals, self._sizes, self._above
         where = self._at, most, velocity, np.zeros(len(velocity))
         if len(pairs.kept):
             add_arrivals(pairs.kept, self._workspace.values, *about, *where)
         for number in pairs.made:
-            block = self._blocks[number].copy()
-            values = np.empty((10 if block[0] else 4) * int(block[4] * block[8]))
-            self._fill(block, values, 0)
-            block[6] = 0
-            add_arrivals(block[None], values, *about, *where)
+            block = self._blocks[number : number + 1].copy()
+            block[:, 6] = 0
+            values = np.empty((10 if block[0, 0] else 4) * int(block[0, 4] * block[0, 8]))
+            self._fill(block, values)
+            add_arrivals(block, values, *about, *where)

@@ -46,9 +46,9 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
             p, pd, pdd = diagonal[m], 0.0, 0.0
             p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
             for n in range(m, degree + 1):
-                r, column = ratio[m, n], 2 * (start[n] + m)
-                q *= r * inverse_ratio[m, n]
-                qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
+                column, before = 2 * (start[n] + m), q * inverse_ratio[m, n]
+                q = before * ratio[m, n]
+                qg = ((n - m) * gamma * q - max(n + m, 1) * before) / alpha2
                 f, fg, fh = q * p, qg * p, q * pd
                 l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
                 put(table, 0, i, column, w * f)
@@ -78,14 +78,60 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
 
 
 @njit(cache=compiled_are_kept())
+def degree_at(x, y, z, k, tolerance, most):  # type: ignore[no-untyped-def]
+    """Degree beyond which harmonics are below tolerance at a point: 3 to most."""
+    alpha2, gamma, _ = confocal(x * x + y * y, z, (1.0 - k) * (1.0 + k))
+    decay = min((k + 1.0) / (math.sqrt(max(alpha2, 0.0)) + gamma), 1.0 - 1e-9)
+    wanted = math.ceil(math.log(tolerance) / math.log(decay)) + 2.0
+    return int(min(max(wanted, 3.0), most))
+
+
+@njit(cache=compiled_are_kept())
 def degrees_for(points, k, tolerance, most, degrees):  # type: ignore[no-untyped-def]
-    """Fill degrees (P,) beyond which harmonics are below tolerance at points (P, 3): 3 to most."""
+    """Fill degrees (P,) at points (P, 3), see `degree_at`."""
     for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        alpha2, gamma, _ = confocal(x * x + y * y, z, (1.0 - k) * (1.0 + k))
-        decay = min((k + 1.0) / (math.sqrt(max(alpha2, 0.0)) + gamma), 1.0 - 1e-9)
-        wanted = math.ceil(math.log(tolerance) / math.log(decay)) + 2.0
-        degrees[i] = int(min(max(wanted, 3.0), most))
+        degrees[i] = degree_at(points[i, 0], points[i, 1], points[i, 2], k, tolerance, most)
+
+
+@njit(cache=compiled_are_kept())
+def to_frame(point, centre, turn, size, out):  # type: ignore[no-untyped-def]
+    """A point (3,) of space in the frame of a body, turned by turn, in units of its size."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    for a in range(3):
+        out[a] = (x * turn[0, a] + y * turn[1, a] + z * turn[2, a]) / size
+
+
+@njit(cache=compiled_are_kept())
+def highest_degrees(points, ends, centre, turn, size, k, tolerance, most, highest):  # type: ignore[no-untyped-def]
+    """Fill highest (B,): of the degrees at points (P, 3) of space between two ends each, (B + 1,).
+
+    centre, turn, size: of the body whose harmonics they are.
+    """
+    own = np.empty(3)
+    for b in range(highest.shape[0]):
+        found = 3
+        for i in range(ends[b], ends[b + 1]):
+            to_frame(points[i], centre, turn, size, own)
+            found = max(found, degree_at(own[0], own[1], own[2], k, tolerance, most))
+        highest[b] = found
+
+
+@njit(cache=compiled_are_kept())
+def tabulate_blocks(  # type: ignore[no-untyped-def]
+    blocks, at, points, centre, turn, size, k, orders, start, recurrence, values, own
+):
+    """Fill the tables of blocks of one body, and their points in its frame, own.
+
+    points (P, 3): of space, of which at tells those of a block; see `add_arrivals` for the rest.
+    """
+    for i in range(blocks.shape[0]):
+        columns, degree, table, first, count = blocks[i, 4:]
+        rows = 10 if blocks[i, 0] else 4
+        for j in range(first, first + count):
+            to_frame(points[at[j]], centre, turn, size, own[j])
+        where = values[table : table + rows * count * columns].reshape((rows, count, columns))
+        x, few = own[first : first + count], min(degree + 1, orders)
+        tabulate(x, k, degree, few, start, recurrence, rows == 10, where)
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
