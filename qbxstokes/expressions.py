@@ -44,8 +44,7 @@ def _checked(node: ast.AST, names: Mapping[str, Any]) -> ast.expr:
         called = node.func.id
         if called in FUNCTIONS and node.args and not node.keywords:
             return _call(called, [_checked(part, names) for part in node.args])
-    what = node.id if isinstance(node, ast.Name) else type(node).__name__.lower()
-    raise ValueError(f"{what} is not known in arithmetic")
+    raise ValueError(f"{ast.unparse(node)[:40]} is not known in arithmetic")
 
 
 def _call(name: str, parts: list[ast.expr]) -> ast.Call:
@@ -55,14 +54,16 @@ def _call(name: str, parts: list[ast.expr]) -> ast.Call:
 def expression_in_time(text: str, names: Mapping[str, Any] = _IN_TIME) -> Callable[[float], float]:
     """The function that an expression such as '2*sin(pi*t)' stands for; raises ValueError.
 
-    names: functions of t by their names. What is checked to be arithmetic is compiled by Python.
+    Powers are written ** or ^. names: functions of t by their names. What is checked to be
+    arithmetic is compiled by Python.
     """
     if len(text) > 400:
         raise ValueError("it is too long")
     try:
         with warnings.catch_warnings():  # Python's remarks on what is refused below
             warnings.simplefilter("ignore")
-            body = _checked(ast.parse(text.strip(), mode="eval").body, names)
+            power = text.strip().replace("^", "**")
+            body = _checked(ast.parse(power, mode="eval").body, names)
         function = ast.parse("lambda t: 0", mode="eval")
         function.body.body = body  # type: ignore[attr-defined]
         code = compile(ast.fix_missing_locations(function), "expression", "eval")

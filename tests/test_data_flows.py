@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import qbxstokes as qs
-from qbxstokes.errors import ConvergenceError, FlowError, QbxStokesError, SceneError
+from qbxstokes.errors import CaseError, ConvergenceError, FlowError, QbxStokesError, SceneError
 from qbxstokes.flows.recognition import recognised
 from qbxstokes.reference.jeffery import axis_at
 from qbxstokes.runs import destination as target
@@ -184,6 +184,34 @@ def test_files_give_the_same_series(tmp_path: Path) -> None:
         assert np.abs(flow.gradient([0.0, 0.0, 0.0], 1.2345) - expected).max() < 1e-4
         with pytest.raises(FlowError, match="outside the series"):
             flow.gradient([0.0, 0.0, 0.0], 4.5)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"dataset": "group"}, "file: .*cannot be read"),
+        ({"dataset": 3}, "file: .*cannot be read"),
+        ({"time": "number"}, "file: .*cannot be read"),
+        ({"layout": 3}, "gradient.layout: layout is 3"),
+        ({"interpolation": ["linear"]}, "gradient.interpolation: .*one of sextic"),
+        ({"unit": -1.0}, "gradient.unit: .*positive"),
+    ],
+)
+def test_wrong_keys_of_a_file_are_told(tmp_path: Path, keys: dict[str, Any], message: str) -> None:
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file["A"], file["t"], file["number"] = np.zeros((3, 9, 9)), np.arange(9.0), 3.0
+        file.create_group("group")
+    gradient = {"file": str(tmp_path / "f.h5"), **keys}
+    flow = {"type": "linear", "gradient": gradient, "trajectory": 0}
+    case = {"body": {"aspect_ratio": 0.2}, "flow": flow, "time": {"end": 2.0}}
+    with pytest.raises(CaseError, match=message):
+        qs.run(case)
+
+
+def test_steps_without_number_are_refused() -> None:
+    flow = qs.flow("shear", rate="t^2", longest_step=1e-12)
+    with pytest.raises(FlowError, match="a run of 2e"):
+        qs.Body(0.2).integrate(flow, [2.0])
 
 
 def test_dimensions_with_names_and_units_of_time(tmp_path: Path) -> None:

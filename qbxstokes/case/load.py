@@ -153,7 +153,10 @@ def _paths(data: dict[str, Any], name: str, value: Any, folder: Path) -> Any:
     try:
         count = len(series_of_case(data.get("flow") or {}, folder))
     except FlowError as error:
-        raise Problem(f"flow: {error}", "all takes every path of a linear flow's series") from None
+        where = ".".join(map(str, ("flow", *error.key)))
+        raise Problem(
+            f"{where}: {error}", "all takes every path of a linear flow's series"
+        ) from None
     return {"linspace": [0, max(count - 1, 1)], "count": count}
 
 

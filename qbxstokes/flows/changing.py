@@ -334,7 +334,7 @@ def _path_number(trajectory: Any) -> int:
 def _series_of(key: str, given: Mapping[str, Any], trajectory: Any) -> Series:
     """The series of a file, of a process, or of numbers in the case."""
     chosen = None if trajectory is None else _path_number(trajectory)
-    if key == "gradient" and "times" not in given:
+    if key == "gradient":
         single = chosen if "rows" in given else None
         series = series_of_file(given, single)
         return series if chosen is None or single is not None else series.path(chosen)
@@ -342,8 +342,7 @@ def _series_of(key: str, given: Mapping[str, Any], trajectory: Any) -> Series:
     try:
         check_keys(given, ["file", "times", "values", *rules], key)
         if "times" in given:
-            kind = GradientSeries if key == "gradient" else Series
-            found = kind(given["times"], np.asarray(given["values"], dtype=float), **rules)
+            found = Series(given["times"], np.asarray(given["values"], dtype=float), **rules)
         else:
             numbers = read_table(Path(str(given["file"]))).numbers
             found = Series(numbers[:, 0], numbers[:, 1:], **rules)

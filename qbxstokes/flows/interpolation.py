@@ -67,7 +67,7 @@ class Series:
             ("interpolation", interpolation, INTERPOLATIONS),
             ("outside", outside, OUTSIDE),
         ):
-            if value not in known:
+            if value not in tuple(known):
                 raise FlowError(f"{name} is one of {', '.join(known)}, not {value!r}", (name,))
         if t.ndim != 1 or len(t) < 2 or np.any(np.diff(t) <= 0.0) or not np.isfinite(t).all():
             raise FlowError("times of a series must be two or more finite, increasing instants")

@@ -19,6 +19,7 @@ from qbxstokes.tables import HDF5, TableError, check_file, read_table
 from qbxstokes.typing import Array, Integers
 
 TRACES = "project", "error"
+_RULES = "interpolation", "trace", "outside"
 
 
 class GradientSeries(Series):
@@ -134,14 +135,33 @@ def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> G
     instants beside it. unit: the flow's unit of time in that of the file, by which times are
     divided and gradients multiplied.
     With {process: gaussian, rate, correlation_time, paths, end, spacing, seed} the paths are made
-    at random (`random_gradients`). Raises FlowError.
+    at random (`random_gradients`); with {times, values} they are given. Raises FlowError.
     """
-    if "process" in given:
-        return _of_process(given)
-    known = ["file", "dataset", "time", "layout", "rows", "unit"]
-    known += ["interpolation", "trace", "outside"]
+    try:
+        if "times" in given:
+            return _of_numbers(given)
+        return _of_process(given) if "process" in given else _of_file(given, trajectory)
+    except FlowError as error:
+        if error.key[:1] in (("gradient",), ("trajectory",)):
+            raise
+        raise FlowError(str(error), ("gradient", *error.key)) from None
+
+
+def _of_numbers(given: Mapping[str, Any]) -> GradientSeries:
+    rules = {name: given[name] for name in _RULES if name in given}
+    check_keys(given, ["times", "values", *rules], "linear")
+    try:
+        values = np.asarray(given.get("values"), dtype=np.float64)
+        return GradientSeries(np.asarray(given["times"], dtype=np.float64), values, **rules)
+    except (TypeError, ValueError) as error:
+        right = "{times: [...], values: [...]} of instants and gradients"
+        raise FlowError(f"gradient: {error}; {right} is expected", ("gradient",)) from None
+
+
+def _of_file(given: Mapping[str, Any], trajectory: int | None) -> GradientSeries:
+    known = ["file", "dataset", "time", "layout", "rows", "unit", *_RULES]
     check_keys(given, known, "linear")
-    rules = {name: given[name] for name in known[6:] if name in given}
+    rules = {name: given[name] for name in _RULES if name in given}
     unit = number(given.get("unit", 1.0), "unit", positive=True)
     path = Path(str(given.get("file", "")))
     try:
@@ -191,7 +211,7 @@ def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
         scale, order = _of_dimensions(data)
         times = scale if scale and "time" not in given else data.file[given.get("time", "t")]
         times = np.asarray(times[:], dtype=np.float64)
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
     return times, _laid_out(data, given, order)
 
@@ -207,8 +227,9 @@ def _of_npy(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
 
 def _laid_out(data: Any, given: Mapping[str, Any], order: list[str]) -> InFile:
     """Samples of which the file tells the order of axes, or else the case."""
-    layout = list(given.get("layout", order))
-    if sorted(layout) != ["time", "trajectory"]:
+    layout = given.get("layout", order)
+    named = tuple(layout) if isinstance(layout, (list, tuple)) else ()
+    if named not in (("time", "trajectory"), ("trajectory", "time")):
         right = "[trajectory, time] or [time, trajectory]"
         raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
     if data.ndim == 2 or (data.ndim == 3 and data.shape[1:] == (3, 3)):

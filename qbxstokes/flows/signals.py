@@ -48,6 +48,7 @@ _BREAKS = ("breaks",)  # the key that would help a function that is not smooth
 _STEP = 2  # pieces of a function that a step may be long
 # By how much more than they are accurate numbers of neighbouring pieces differ where they jump.
 _JUMP = 100.0
+_LEAST = 1e7  # steps of a run beyond which it is refused
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
 
 
@@ -208,6 +209,9 @@ class Sampled:
         cuts = signal.breaks(end)
         self._exact = signal.series if len(cuts) else None
         if self._exact is None:
+            if not end < _LEAST * longest:
+                wrong = f"longest_step is {longest:g}, a run of {end / longest:.2g} steps"
+                raise FlowError(wrong, ("longest_step",))
             count = max(1, math.ceil(end / longest * (1.0 - 1e-12)))
             cuts = np.union1d(cuts, np.linspace(0.0, end, count + 1)[1:-1])
         far = np.diff(cuts, prepend=0.0) > 1e-14 * end

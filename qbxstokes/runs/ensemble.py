@@ -123,6 +123,7 @@ def _bodies(
         case = Case.read(data)
         given = {"forces": case.forces.given, "constraints": case.constraints.given}
         given |= {name: bool(getattr(case, name).given_keys) for name in ("events", "compare")}
+        given |= {"field": case.field is not None, "output.fields": bool(case.output.fields)}
         given |= {f"start.{name}": name != ORIENTATION[1] for name in case.start.given_keys}
         for name in (name for name, there in given.items() if there):
             raise loaded.error(name, "has no meaning with statistics", "leave it out")
@@ -142,8 +143,12 @@ def _gradients(
         if starts is None:
             right = "flow.trajectory: all, or start.orientation, all in one gradient"
             raise loaded.error("sweep.axes", "vary no flow.trajectory", right)
-        accuracy = time.tolerance / float(slenderness(bodies).max())
-        return SharedGradient(loaded.flow, times_of(loaded), starts.size, accuracy)
+        accuracy, times = time.tolerance / float(slenderness(bodies).max()), times_of(loaded)
+        if len(times) < 2:
+            raise loaded.error(
+                "time.at", "holds one instant", "two or more: axes move between them"
+            )
+        return SharedGradient(loaded.flow, times, starts.size, accuracy)
     except FlowError as error:
         raise loaded.error(("flow", *error.key), str(error)) from None
 
