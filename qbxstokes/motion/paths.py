@@ -246,7 +246,8 @@ def kick(p: Any, turns: Any, length: float, place: Any, lanes: int, later: bool)
         n0, n1, n2, n3 = philox(turns.seed, place[0] + b, place[1], place[2])
         if later:
             n0, n1 = n2, n3
-        p[0, b], p[1, b], p[2, b] = turned(p[0, b], p[1, b], p[2, b], spread, n0, n1)
+        one, two = (float(n0) + 1.0) * random_turns.SHARE, float(n1) * random_turns.SHARE
+        p[0, b], p[1, b], p[2, b] = turned(p[0, b], p[1, b], p[2, b], spread, one, two)
 
 
 @compiled

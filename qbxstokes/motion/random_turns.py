@@ -10,7 +10,6 @@ SC11) at this place, so that no division of the trajectories changes a bit.
 The functions take numbers or arrays; `paths` compiles them.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ _HALF = np.uint64(32)
 _FACTORS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _ROUNDS = 10
+SHARE = 2.0**-32  # of a whole number of `philox` in the range of all
 MOST_VARIANCE = 1.0  # of a turn over a whole step, 2 D h
 
 
@@ -54,18 +54,16 @@ def variance(diffusivity: Any, step: float) -> Any:
     return s - s * s / 6.0
 
 
-def turned(x: float, y: float, z: float, spread: float, one: Any, two: Any) -> Any:
-    """The axis (x, y, z) after a normal turn of variance `spread`, by two whole numbers."""
-    share = 1.0 / 4294967296.0
-    angle = math.sqrt(-2.0 * spread * math.log((float(one) + 1.0) * share))
-    around = 2.0 * math.pi * float(two) * share
+def turned(x: Any, y: Any, z: Any, spread: float, one: Any, two: Any) -> Any:
+    """The axis (x, y, z) after a normal turn of variance `spread`; one > 0, two: random up to 1."""
+    angle, around = np.sqrt(-2.0 * spread * np.log(one)), 2.0 * np.pi * two
     # Two directions across p (T. Duff et al. 2017, J. Comput. Graph. Tech. 6, 1).
-    sign = -1.0 if z < 0.0 else 1.0
+    sign = 1.0 - 2.0 * (z < 0.0)
     a = -1.0 / (sign + z)
     b = x * y * a
-    cosine, sine = math.cos(around), math.sin(around)
+    cosine, sine = np.cos(around), np.sin(around)
     u = cosine * (1.0 + sign * x * x * a) + sine * b
     v = cosine * sign * b + sine * (sign + y * y * a)
     w = -cosine * sign * x - sine * y
-    c, s = math.cos(angle), math.sin(angle)
+    c, s = np.cos(angle), np.sin(angle)
     return c * x + s * u, c * y + s * v, c * z + s * w

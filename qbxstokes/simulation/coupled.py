@@ -164,10 +164,6 @@ class CoupledSimulation(Simulation):
         """Values (N, ...) of the bodies; of a single one that is no list without the axis."""
         return values if self.several else values[0]
 
-    def __len__(self) -> int:
-        """Number of bodies."""
-        return len(self.position)
-
     def assemble(self, *_: Any, **__: Any) -> Together:  # type: ignore[override]
         """The equations of the scene with their start."""
         from qbxstokes.simulation.coupled_assembly import assemble

@@ -134,7 +134,7 @@ class Simulation:
         return self._per_lane(name, vectors, 3)
 
     def __len__(self) -> int:
-        """Number of lanes."""
+        """Number of lanes, or of bodies that share a fluid."""
         return len(self.position)
 
     def at(self, chosen: Indices) -> Simulation:

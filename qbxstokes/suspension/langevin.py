@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.symmetric import PAIRS, components, symmetric
+from qbxstokes.motion import random_turns
+from qbxstokes.motion.random_turns import MOST_VARIANCE, variance
 from qbxstokes.motion.stress import stresslets
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.history import History
@@ -30,7 +32,6 @@ from qbxstokes.suspension.particle import Particle
 from qbxstokes.typing import Array
 
 _START = 2**62  # the step whose numbers make the orientations at the start
-_MOST_VARIANCE = 1.0
 BLOCK = 1024  # trajectories whose averages are taken together
 # What the columns of `Sums` are: material functions, and components 11 22 33 12 13 23.
 FUNCTIONS = (
@@ -228,24 +229,10 @@ def isotropic_axes(seed: int, first: int, count: int) -> Array:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
-def variance(diffusivity: float, step: float) -> float:
-    """Variance of the turn about either axis across p in a step: s - s^2/6, s = 2 D h."""
-    s = 2.0 * diffusivity * step
-    return s - s * s / 6.0
-
-
 def turned(p: Array, spread: float, u: Array) -> Array:
     """Axes (n, 3) turned by normal angles of variance `spread` about both axes across them."""
-    angle = np.sqrt(-2.0 * spread * np.log(u[:, 0]))
-    around = 2.0 * np.pi * u[:, 1]
-    # Two directions across p (T. Duff et al. 2017, J. Comput. Graph. Tech. 6, 1).
-    sign = np.where(p[:, 2] < 0.0, -1.0, 1.0)
-    a = -1.0 / (sign + p[:, 2])
-    b = p[:, 0] * p[:, 1] * a
-    first = np.stack([1.0 + sign * p[:, 0] ** 2 * a, sign * b, -sign * p[:, 0]], axis=1)
-    second = np.stack([b, sign + p[:, 1] ** 2 * a, -p[:, 1]], axis=1)
-    across = np.cos(around)[:, None] * first + np.sin(around)[:, None] * second
-    return np.asarray(np.cos(angle)[:, None] * p + np.sin(angle)[:, None] * across)
+    x, y, z = p.T
+    return np.stack(random_turns.turned(x, y, z, spread, u[:, 0], u[:, 1]), axis=1)
 
 
 def kicks(p: Array, sizes: Array, u: Array) -> Array:
@@ -263,4 +250,4 @@ def _moved(p: Array, half: Array) -> Array:
 
 def longest_step(diffusivity: float) -> float:
     """The longest step for which the variance of a turn makes sense."""
-    return _MOST_VARIANCE / (2.0 * diffusivity)
+    return MOST_VARIANCE / (2.0 * diffusivity)
