@@ -6,6 +6,7 @@ m.(x_2 - x_1) - h_1(m) - h_2(m), which is concave; a negative one says how deep 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,13 +42,23 @@ def gaps_between(
 
     normal (3,), heights (N,): of a wall, and of the centres above it.
     """
+    wall = (np.zeros(3), np.zeros(0)) if normal is None or heights is None else (normal, heights)
+    given = (centres, axes, ratios, sizes, *wall)
+    return _found(*(np.asarray(some, dtype=np.float64).tobytes() for some in given))
+
+
+@lru_cache(maxsize=4)  # what watches bodies, what chooses grids and what deals them ask alike
+def _found(*given: bytes) -> Gaps:
+    """The gaps, by the numbers of what `gaps_between` is given; not to be written to."""
     from qbxstokes.geometry.gap_kernel import fill
 
-    n = len(centres)
-    count = n * (n - 1) // 2 + (0 if heights is None else n)
+    centres, axes, ratios, sizes, normal, heights = map(np.frombuffer, given)
+    n = len(ratios)
+    count = n * (n - 1) // 2 + len(heights)
     pairs, found = np.empty((count, 2), dtype=np.int64), np.empty((count, 6))
-    wall = (np.zeros(3), np.zeros(0)) if normal is None or heights is None else (normal, heights)
-    fill(*map(np.ascontiguousarray, (centres, axes, ratios, sizes, *wall)), pairs, found)
+    places = (some.reshape(n, 3).copy() for some in (centres, axes))
+    fill(*places, *(some.copy() for some in (ratios, sizes, normal, heights)), pairs, found)
+    pairs.flags.writeable = found.flags.writeable = False
     return Gaps(pairs, found[:, 0], found[:, 1:4], found[:, 4:])
 
 

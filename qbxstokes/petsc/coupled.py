@@ -153,14 +153,15 @@ class CoupledSolver:
         """
         ksp: Any = self._ksp
         self._rhs.setArray(self.problem.joined(data))
-        if self._rhs.norm() == 0.0:
+        size = self._rhs.norm()
+        if size == 0.0:
             self.latest = 0, 0.0
             return np.zeros(self.problem.size)
         ksp.setInitialGuessNonzero(guess is not None)
         if guess is not None:
             self._solution.setArray(guess)
         ksp.solve(self._rhs, self._solution)
-        steps, left = ksp.getIterationNumber(), ksp.getResidualNorm() / self._rhs.norm()
+        steps, left = ksp.getIterationNumber(), ksp.getResidualNorm() / size
         self.latest = steps, float(left)
         if ksp.getConvergedReason() <= 0:
             raise ConvergenceError(
