@@ -64,7 +64,7 @@ class SharedGradient:
         return self.samples[0, :: self.degrees][np.searchsorted(self.edges, self.times[:-1])]
 
     def sampling(self) -> dict[str, Any]:
-        """What sampling the flow in time took, and by how much it is off, relative to it."""
+        """What sampling the flow in time took, and by how much it is off, of its largest size."""
         if not isinstance(self.flow, ChangingFlow):
             return {}
         instants = self.times[:-1][:: -(-len(self.times) // _CHECKED)]
@@ -72,7 +72,8 @@ class SharedGradient:
         units, still = self.flow.gradient_terms
         exact = (np.tensordot(exact, units, 1) + still).reshape(-1, 9)
         places = self.degrees * np.searchsorted(self.edges, instants)
-        off, size = (np.abs(a).max() for a in (exact - self.samples[0, places], exact))
+        begins = self.samples[0, :: self.degrees]
+        off, size = np.abs(exact - self.samples[0, places]).max(), np.abs(begins).max()
         return {"intervals": len(self.edges) - 1, "gradient": float(off / size) if size else 0.0}
 
 
