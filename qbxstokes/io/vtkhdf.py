@@ -93,12 +93,14 @@ def _piece(
             continue
         array = values[step]
         if key == "stress":
-            array = array[:, _ORDER_OF_STRESS]
+            array = np.take(array, _ORDER_OF_STRESS, axis=1)
         if array.ndim > 2:  # tensors, row by row
             array = array.reshape(len(array), -1)
         data[key] = array.astype(np.uint8) if array.dtype == bool else array
     if "inside" in data:
-        cells = cells[~data["inside"].astype(bool)[cells].any(axis=1)]
+        inside = data["inside"].astype(bool)
+        kept = ~np.any([inside[corner] for corner in cells.T], axis=0)
+        cells = np.compress(kept, cells, axis=0)
     return points, cells, kind, data
 
 
