@@ -118,7 +118,7 @@ def test_random_scenes_take_a_small_multiple_of_the_best_steps() -> None:
         cost = 25 * done.jacobians + done.evaluations
         for method, price, multiple in (
             ("8vr", forecast.STAGES, 12.0),
-            ("bdf", forecast.IMPLICIT_COST, forecast.AFFORDED),
+            ("bdf", 50.0, forecast.AFFORDED),
         ):
             if cost < 40_000:  # a quarter of a second
                 break

@@ -12,6 +12,7 @@ and the moments of inertia of each, and St = rho_p L^2/(mu tau) with the scene's
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -38,6 +39,9 @@ Array = NDArray[np.float64]
 _MEETING = 4.0  # times that an error grows as two bodies pass each other
 # Step of the differences of a Jacobian, well above the error of the rates.
 _STEP = 1e-4
+# Newton steps at one instant that show that a resistance is out of date, and instants that it
+# serves at least.
+_SLOW, _LASTING = 5, 5
 
 
 class SharedFluid(Protocol):
@@ -52,6 +56,9 @@ class SharedFluid(Protocol):
     def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
         """Force and torque of the fluid ON the bodies of given velocities."""
 
+    def resistance(self, t: float, x: Array, q: Array) -> Array:
+        """The resistance (6N, 6N), roughly: force and torque by the bodies ON the fluid."""
+
     def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """Force and torque from outside."""
 
@@ -63,10 +70,12 @@ class CoupledEquations(RigidBodyEquations):
     """dy/dt of the bodies of one fluid; see the module's text.
 
     ratios: k of the bodies. stokes_number (N,), all zero or all positive. volume (N,), inertia
-    (N, 3): of the bodies at unit density. relaxation (N,): fastest rate at which the drag of each
-    alone takes up a motion, 0 without inertia. constants: what a compiled rate takes of the table
+    (N, 3): of the bodies at unit density. relaxation (4, N): rates at which the drag of each alone
+    takes up a motion, as `relaxation_rates`; 0 without inertia. constants: what a compiled rate takes of the table
     of one massless body over a wall, where nothing changes in time.
     """
+
+    bdf_cost = 8.0
 
     def __init__(
         self,
@@ -85,11 +94,11 @@ class CoupledEquations(RigidBodyEquations):
         self.n_state = N_MASSLESS if self.massless else N_INERTIAL
         self.layout = Layout(self.n_state, 1, self.n_lanes)
         self.constraints = Constraints()
-        self.evaluation, self.inertia = "plain", "both"
-        self.effective_ratio, self.stiffness = ratios, relaxation
+        self.evaluation, self.inertia, self.exact_jacobian = "plain", "both", self.massless
+        self.effective_ratio, self.stiffness = ratios, relaxation.max(axis=0)
         # Many instants are not asked for at once, and what drag does is a matter of all bodies.
         self.steady, self._steady_loads, self.free_of_torque = False, True, False
-        self.relaxation_rates = np.zeros((4, self.n_lanes))
+        self.relaxation_rates = relaxation
         self._mass = stokes_number * volume
         self._moments = stokes_number[:, None] * inertia
         self._table, self._loads, self.changing = None, None, None
@@ -202,7 +211,7 @@ class CoupledEquations(RigidBodyEquations):
 
     def jacobian_function(self, evaluations: float = 0.0) -> Callable[[float, Array, Array], None]:
         """The function (t, y, out) that writes the one block (1, N n_state, N n_state)."""
-        return self.jacobian
+        return self.jacobian if self.massless else Drag(self).jacobian
 
     def jacobian(self, t: float, y: Array, out: Array) -> None:
         """Write the Jacobian by central differences: two problems for each number of the state."""
@@ -214,3 +223,53 @@ class CoupledEquations(RigidBodyEquations):
                 moved.ravel()[column] += step
                 sides.append(self._rate_of(t, moved).ravel())
             out[0, :, column] = (sides[0] - sides[1]) / (2.0 * _STEP)
+
+    def dragged(self, t: float, y: Array, resistance: Array, out: Array) -> None:
+        """Write the Jacobian (1, N 13, N 13) but for how forces change with place and turn.
+
+        resistance (6N, 6N): of the bodies, about where they are. What is left out changes the
+        velocities as fast as the flow does, not as drag does.
+        """
+        states, n = y.T, self.n_lanes
+        raw, w = states[:, ORIENTATION], states[:, SPIN]
+        to_space = rotation.matrix(rotation.normalize(raw))
+        block = out.reshape(n, self.n_state, n, self.n_state)
+        block[:] = 0.0
+        drag = resistance.reshape(n, 2, 3, n, 2, 3).copy()
+        drag[:, :, :, :, 1] = np.einsum("afibj,bjk->afibk", drag[:, :, :, :, 1], to_space)
+        drag[:, 1] = np.einsum("aki,akbfj->aibfj", to_space, drag[:, 1])
+        for part, own, mass in ((0, VELOCITY, self._mass[:, None]), (1, SPIN, self._moments)):
+            for other, columns in ((0, VELOCITY), (1, SPIN)):
+                block[:, own, :, columns] = (
+                    -drag[:, part, :, :, other] / np.broadcast_to(mass, (n, 3))[:, :, None, None]
+                )
+        unit, half = np.eye(4), np.arange(n)
+        spins = np.concatenate([np.zeros((n, 1)), w], axis=1)
+        for b, moments in zip(half, self._moments, strict=True):
+            block[b, POSITION, b, VELOCITY] = np.eye(3)
+            block[b, ORIENTATION, b, ORIENTATION] = 0.5 * rotation.multiply(unit, spins[b]).T
+            block[b, ORIENTATION, b, SPIN] = 0.5 * rotation.multiply(raw[b], unit[1:]).T
+            whirl = np.cross(np.eye(3), moments * w[b]) + np.cross(w[b], np.diag(moments))
+            block[b, SPIN, b, SPIN] -= whirl.T / moments[:, None]
+
+
+class Drag:
+    """Jacobians for an integrator, with a resistance that is found anew where it serves no more."""
+
+    def __init__(self, equations: CoupledEquations) -> None:
+        self._equations = equations
+        self._resistance: Array | None = None
+        # The instant asked for last, how often, and how many others since the resistance.
+        self._asked, self._times, self._since = math.nan, 0, 0
+
+    def jacobian(self, t: float, y: Array, out: Array) -> None:
+        """Write the Jacobian, see `CoupledEquations.dragged`."""
+        self._times = self._times + 1 if t == self._asked else 1
+        self._since += self._times == 1
+        self._asked = t
+        slow = self._times == _SLOW and self._since >= _LASTING
+        if self._resistance is None or slow:
+            x, q = y.T[:, POSITION], rotation.normalize(y.T[:, ORIENTATION])
+            fluid = self._equations.fluid
+            self._resistance, self._since = fluid.resistance(fluid.between(t), x, q), 0
+        self._equations.dragged(t, y, self._resistance, out)

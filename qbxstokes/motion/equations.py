@@ -70,6 +70,8 @@ class RigidBodyEquations(Pieces):
     rotation "both", or of one of them alone (St > 0); the other follows the flow.
     """
 
+    # Right-hand sides that take as long as a step of BDF, and whether its Jacobian is exact.
+    bdf_cost, exact_jacobian = 50.0, True
     _sensitivity: tuple[tuple[float, bytes, float], float] | None = None
 
     def repeated(self, count: int) -> RigidBodyEquations:

@@ -21,9 +21,8 @@ WITHIN = 20.0
 AFFORDED = 30.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
 LOOSE = 1e-6
-# Right-hand sides of a step of 8vr, and those that take as long as a step of BDF, of arkimex.
+# Right-hand sides of a step of 8vr, and those that take as long as a step of arkimex.
 STAGES = 13
-IMPLICIT_COST = 50
 _COSTS = {"rk": STAGES, "arkimex": 25 * STAGES}
 # Steps that BDF takes at least to reach its highest order.
 _START = 150
@@ -55,7 +54,7 @@ class Forecast:
 
         breaks: instants at which the steps begin afresh.
         """
-        self._breaks = breaks
+        self._breaks, self._bdf_cost = breaks, equations.bdf_cost
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
         self._span = (end - t) * float(np.max(equations.mean_rate(t, state, end - t)))
@@ -98,7 +97,7 @@ class Forecast:
 
     def evaluations(self, kind: str) -> float:
         """Right-hand sides, with each Jacobian counted as so many."""
-        return self.steps(kind) * _COSTS.get(kind, IMPLICIT_COST)
+        return self.steps(kind) * _COSTS.get(kind, self._bdf_cost)
 
     @property
     def method(self) -> str:
@@ -109,7 +108,7 @@ class Forecast:
         """
         missed = self.reachable("bdf") > WITHIN * self._asked >= self.reachable("rk")
         share = AFFORDED if missed else 1.0
-        implicit = self.evaluations("bdf") + _START * IMPLICIT_COST
+        implicit = self.evaluations("bdf") + _START * self._bdf_cost
         if share * implicit < self.evaluations("rk"):
             if self._breaks * _START < self.steps("bdf"):
                 return "bdf"

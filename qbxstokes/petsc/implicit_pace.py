@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from qbxstokes.motion.forecast import IMPLICIT_COST, STAGES
+from qbxstokes.motion.forecast import STAGES
 from qbxstokes.motion.layout import POSITION, RATES
 from qbxstokes.petsc.system import System
 from qbxstokes.petsc.trajectory import Checkpoint
@@ -39,7 +39,7 @@ class Pace:
         self._system, self._start = system, start
         self._judged = system.chosen and system.method == "bdf"
         self._stiffness = float(np.max(system.equations.stiffness)) if self._judged else 0.0
-        self._next = start.steps + WINDOW
+        self._cost, self._next = system.equations.bdf_cost, start.steps + WINDOW
         self._before: tuple[float, int] | None = None
 
     def held_up(self, t: float, steps: int, rejections: int) -> bool:
@@ -58,10 +58,10 @@ class Pace:
         return self._rounding or self._explicit(t, steps)
 
     def _explicit(self, t: float, steps: int) -> bool:
-        if not self._step * self._stiffness < _STABLE * IMPLICIT_COST / STAGES:
+        if not self._step * self._stiffness < _STABLE * self._cost / STAGES:
             return False
         shortest = max(self._stiffness / _STABLE, 1.0 / (_LONGER * self._step))
-        return IMPLICIT_COST * steps > STAGES * (self._system.end - t) * shortest
+        return self._cost * steps > STAGES * (self._system.end - t) * shortest
 
     def changed(self, at: Checkpoint) -> Checkpoint:
         """The cut from which a run goes on that is held up."""

@@ -23,6 +23,8 @@ from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.typing import Array
 
 RK_FORMULAS = ("5dp", "8vr")
+# Error of a Newton step with an approximate Jacobian, in errors of a step of the integrator.
+_ENOUGH = 0.05
 # Right-hand sides of single bodies in this process so far, as they were forecast.
 _FORESEEN = [0.0]
 
@@ -334,10 +336,11 @@ class System:
         """
         work, matrix = vector.duplicate(), self._matrix()
         # With the exact Jacobian the error left by a Newton step is its square times a curvature of
-        # order one. Residuals are no measure: their rounding grows with the stiffness.
-        # Each component is measured by its own size, as the steps are: a body far away has
+        # order one, else a part of it. Residuals are no measure: their rounding grows with the
+        # stiffness. Each component is measured by its own size, as the steps are: a body far away has
         # orientation still.
-        enough = 0.1 / math.sqrt(self.local_tolerance)
+        exact = self.equations.exact_jacobian
+        enough = 0.1 / math.sqrt(self.local_tolerance) if exact else _ENOUGH
         weights = weights.getArray(readonly=1)
         if (native := self._native_implicit()) is not None:
             test = np.array([enough, self.local_tolerance, len(weights), *weights])

@@ -126,15 +126,17 @@ class CoupledSimulation(Simulation):
         q: Array,
         nodes: list[int] | None = None,
         **motion: Array,
-    ) -> Solution:
+    ) -> Any:
         """The bodies at centres x (N, 3) and orientations q (N, 4) at a time.
 
-        kind: "free" under their loads, "held" with a motion (`Suspension.held`), or "estimate":
-        free, with the estimated errors found.
+        kind: "free" under their loads, "held" with a motion (`Suspension.held`), "estimate": free,
+        with the estimated errors found, or "resistance": that, roughly, in place of a solution.
         """
         if self.herald is not None:
             self.herald((kind, t, x, q, nodes, motion))
         suspension, flow = self.suspension, self.flow
+        if kind == "resistance":
+            return suspension.rough_resistance(suspension.placed(x, q), nodes)
         if kind == "held":
             return suspension.held(flow, x, q, t=t, nodes=nodes, **motion)
         found = suspension.free(flow, x, q, t=t, nodes=nodes, **self.forces(t, x, q))

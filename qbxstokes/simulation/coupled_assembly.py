@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -35,8 +36,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Steps and samples between cuts, where a run can be resumed: some seconds of work.
-CUT_STEPS, CUT_SAMPLES = 5, 20
+# Steps and samples between cuts, where a run can be resumed: some seconds of work. Implicit steps of
+# bodies with inertia are many and short, and begin at low order after a cut.
+CUT_STEPS, CUT_STEPS_HEAVY, CUT_SAMPLES = 5, 100, 20
 # Steps at least over a run whose flow or loads change in time.
 _STEPS_IN_TIME = 20.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
@@ -73,6 +75,14 @@ class Fluid(Between, Watch):
             return told
         found = self._solved("held", t, x, q, velocity=v, angular_velocity=omega)
         return -found.force, -found.torque
+
+    def resistance(self, t: float, x: Array, q: Array) -> Array:
+        """Resistance (6N, 6N) of the bodies to the accuracy that a Jacobian needs."""
+        table = self.scene.table
+        if table is not None:
+            with suppress(ContactError, SceneError):
+                return np.linalg.inv(table.mobility(x[0], rotation.axis(q)[0]))
+        return np.asarray(self._solved("resistance", t, x, q))
 
     def _from_table(
         self, t: float, x: Array, q: Array, motion: Array | None = None
@@ -145,8 +155,9 @@ class Fluid(Between, Watch):
             raise FlowError(str(error)) from None
         # From nothing, not from the last solution: numbers do not depend on what was asked before.
         found = scene.solved(kind, t, x, q, nodes, **motion)
-        self.solves += 1
-        self.iterations += found.iterations
+        if kind != "resistance":
+            self.solves += 1
+            self.iterations += found.iterations
         return found
 
 
@@ -177,13 +188,15 @@ class Together:
         if flow is not None and longest:
             stops = stops_of([flow], end, 0.01 * self.scene.tolerance, longest)
             breaks = np.union1d(breaks_of([flow], end, local / longest), stops)
-        limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS}
+        steps = CUT_STEPS if equations.massless else CUT_STEPS_HEAVY
+        limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": steps}
+        explicit = "5dp" if local > _LOOSE else "8vr"
         return integrate(
             equations,
             self.initial if start is None else start,
             times,
             self.scene.tolerance,
-            method="5dp" if local > _LOOSE else "8vr",
+            method=explicit if equations.massless else None,
             longest_step=longest,
             breaks=breaks,
             watch=self.fluid,
@@ -383,14 +396,12 @@ def assemble(scene: CoupledSimulation) -> Together:
     volume = size**3 * np.array([body.shape.volume for body in bodies])
     inertia = size[:, None] ** 5 * np.array([body.shape.inertia for body in bodies])
     stokes = scene.stokes_number
-    relaxation = np.zeros(len(bodies))
+    relaxation = np.zeros((4, len(bodies)))
     if np.any(stokes):
         drag = [scatterer(body.shape, LEAST_NODES).resistance for body in bodies]
         for b, own in enumerate(drag):
-            rates = np.concatenate(
-                [own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]]
-            )
-            relaxation[b] = rates.max() / stokes[b]
+            moved, turned = own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]
+            relaxation[:, b] = np.array([*moved[[0, 2]], *turned[[0, 2]]]) / stokes[b]
     ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
     given = volume, inertia, relaxation, fluid.constants
     equations = CoupledEquations(fluid, ratios, stokes, *given)

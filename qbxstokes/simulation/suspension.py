@@ -175,6 +175,11 @@ class Suspension:
         fine, coarse = map(self._resistance, (problem, coarser))
         return fine, problem.estimated(fine, coarse) / float(np.abs(fine).max())
 
+    def rough_resistance(self, places: Sequence[Placed], nodes: Sequence[int] | None) -> Array:
+        """The resistance as above, on grids of `Coupled.coarser`, to a part in a thousand."""
+        coarser = self.problem(places, nodes).coarser
+        return self._resistance(self.problem(places, coarser, max(1.0, 1e-3 / self.tolerance)))
+
     def _resistance(self, problem: Coupled) -> Array:
         n = len(self)
         if n > MOST_RESISTANCE:

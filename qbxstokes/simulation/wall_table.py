@@ -108,6 +108,11 @@ class OverWall:
         free = np.hstack(self.motion(terms, x, d, np.vstack([np.zeros(6), np.eye(6)])))
         return np.asarray(np.linalg.solve((free[1:] - free[0]).T, free[0] - motion))
 
+    def mobility(self, position: Array, axis: Array) -> Array:
+        """Mobility (6, 6) of one body."""
+        x, d = np.repeat(position[None], 6, axis=0), np.repeat(axis[None], 6, axis=0)
+        return np.hstack(self.motion(np.zeros((5, 3)), x, d, np.eye(6))).T
+
     def constants(self, terms: Array, load: Array) -> WallConstants:
         """What a compiled right-hand side takes of the table, as far as it is made, and a load."""
         place = self._plane, self.ratio, self.body.size, terms
