@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from bispherical import Bispherical, brenner, near_wall
@@ -12,7 +14,11 @@ from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.coupled import CoupledEquations
+from qbxstokes.motion.layout import ORIENTATION, POSITION
+from qbxstokes.motion.loads import Loads
 from qbxstokes.petsc.coupled import costs, dealt
+from qbxstokes.petsc.session import temporary_options
 
 ORIGIN, SHEAR = [[0.0, 0.0, 0.0]], qs.flow("shear")
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
@@ -258,3 +264,58 @@ def test_bodies_that_pass_each_other_are_watched_by_few_solves() -> None:
     assert found.ended_by is None
     assert found.summary["solves"] < 1.25 * found.summary["rhs_evaluations"]
     assert found.summary["events"]["nearest"]["gap"] == pytest.approx(0.646, abs=0.07)
+
+
+def _pair(stokes_number: float, tolerance: float, **keys: Any) -> Any:
+    """Two bodies of some inertia in shear, one of which falls."""
+    bodies = [qs.Body(0.5, stokes_number=stokes_number), qs.Body(1.5, stokes_number=stokes_number)]
+    return qs.Simulation(
+        bodies,
+        qs.flow("shear"),
+        position=[[0.0, 0.0, 0.0], [3.2, 0.4, 0.3]],
+        orientation=[[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]],
+        loads=Loads(np.array([[0.0, -1.0, 0.0], [0.0] * 3]), np.zeros((2, 3))),
+        tolerance=tolerance,
+        **keys,
+    )
+
+
+def test_the_jacobian_of_heavy_bodies_is_that_of_their_drag() -> None:
+    """But for how forces change with place and turn, which is left out."""
+    together = _pair(0.1, 1e-4, resolution=1e-6).assemble()
+    equations, y = together.equations, together.initial + 0.01
+    resistance = together.scene.suspension.resistance(y[:, POSITION], y[:, ORIENTATION])
+    found, exact = np.zeros((2, 1, y.size, y.size))
+    equations.dragged(0.0, y.T, resistance, found)
+    equations.jacobian(0.0, y.T, exact)
+    found, differences, places = found[0], exact[0], np.arange(y.size).reshape(y.shape)
+    rates, kinematic = places[:, 7:].ravel(), places[:, :7].ravel()
+    assert np.abs(found[kinematic] - differences[kinematic]).max() < 1e-6
+    part = np.ix_(rates, rates)
+    assert np.abs(found[part] - differences[part]).max() < 1e-5 * np.abs(found[part]).max()
+    # The fastest rate is that of drag, at least as fast as of each body alone.
+    fastest = equations.stiffness_at(0.0, y)
+    assert equations.stiffness.max() < 1.01 * fastest < 3.0 * equations.stiffness.max()
+
+
+def test_light_bodies_of_one_fluid_take_implicit_steps() -> None:
+    """As accurate as explicit ones, and as few as if drag were slow."""
+    light, times = _pair(0.02, 1e-4).integrate([0.0, 0.1]), [0.0, 0.1]
+    assert light.summary["method"] == "bdf"
+    assert light.summary["rhs_evaluations"] < 400
+    with temporary_options("", {}, {"ts_type": "rk", "ts_rk_type": "8vr"}):
+        exact = _pair(0.02, 1e-6).integrate(times)
+    assert exact.summary["rhs_evaluations"] > 600
+    for name in ("position", "axis"):
+        assert np.abs(getattr(light, name)[-1] - getattr(exact, name)[-1]).max() < 1e-5
+
+
+def test_explicit_steps_give_way_where_drag_outgrows_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = _pair(20.0, 1e-5).integrate([0.0, 6.0])
+    assert usual.summary["method"] in ("5dp", "8vr")
+    grown = lambda self, t, y: 1e6  # noqa: E731
+    monkeypatch.setattr(CoupledEquations, "stiffness_at", grown)
+    found = _pair(20.0, 1e-5).integrate([0.0, 6.0])
+    assert found.summary["method"] == "bdf"
+    assert "drag outgrew explicit steps" in found.summary["changed"]
+    assert np.abs(found.position[-1] - usual.position[-1]).max() < 1e-4

@@ -126,6 +126,19 @@ def test_wrong_units_are_told_in_a_line(change: dict[str, Any], told: str) -> No
     assert "\n" not in str(raised.value)
 
 
+def test_bodies_of_one_fluid_have_the_density_of_the_units() -> None:
+    bodies = [{"aspect_ratio": 0.5, "start": {"position": [x, 0, 0]}} for x in (0, "200 um")]
+    case: dict[str, Any] = {**CASE, "bodies": bodies}
+    del case["body"], case["start"]
+    loaded = case_of(case)
+    number = Scales(CASE["units"]).stokes_number
+    assert [body.stokes_number for body in loaded.case.members] == [number, number]
+    bodies[1]["stokes_number"] = 1.0
+    told = r"bodies\[1\].stokes_number: stands beside units.body_density"
+    with pytest.raises(CaseError, match=told):
+        case_of(case)
+
+
 def test_a_force_needs_a_viscosity() -> None:
     few = {"length": "50 um", "rate": "5 1/s"}
     with pytest.raises(CaseError, match=r"forces.force\[2\]: '1 nN' needs units.viscosity"):

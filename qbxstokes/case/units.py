@@ -76,12 +76,11 @@ def nondimensional(data: dict[str, Any]) -> dict[str, Any]:
     scales = section.scales
     converted = dict(_plain(data, (), scales))
     task = data.get("task", "motion")
-    body, number = data.get("body"), scales.stokes_number
-    if number is not None and isinstance(body, dict) and task in ("motion", "rheology"):
-        if body.get("stokes_number") is not None:
-            wrong, right = "stands beside units.body_density", "leave one of them out"
-            raise Problem(wrong, right, ("body", "stokes_number"))
-        converted["body"] = {**converted["body"], "stokes_number": number}
+    if scales.stokes_number is not None and task in ("motion", "rheology"):
+        if "body" in converted:
+            converted["body"] = _heavy(converted["body"], scales, ("body",))
+        if isinstance(many := converted.get("bodies"), list):
+            converted["bodies"] = [_heavy(b, scales, ("bodies", n)) for n, b in enumerate(many)]
     weight = scales.gravity_number
     if weight is not None and task == "motion":
         forces = converted.get("forces") or {}
@@ -92,6 +91,16 @@ def nondimensional(data: dict[str, Any]) -> dict[str, Any]:
                 raise Problem(wrong, right, ("forces", "gravity", name))
         converted["forces"] = {**forces, "gravity": {**given, "number": weight}}
     return converted
+
+
+def _heavy(body: Any, scales: Scales, path: tuple[str | int, ...]) -> Any:
+    """The keys of a body with its Stokes number."""
+    if not isinstance(body, dict):
+        return body
+    if body.get("stokes_number") is not None:
+        wrong, right = "stands beside units.body_density", "leave one of them out"
+        raise Problem(wrong, right, (*path, "stokes_number"))
+    return {**body, "stokes_number": scales.stokes_number}
 
 
 def _plain(value: Any, path: tuple[str | int, ...], scales: Scales) -> Any:

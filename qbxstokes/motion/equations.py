@@ -72,6 +72,10 @@ class RigidBodyEquations(Pieces):
 
     # Right-hand sides that take as long as a step of BDF, and whether its Jacobian is exact.
     bdf_cost, exact_jacobian = 50.0, True
+    # Error of a step below which differences of implicit formulas see the errors of the rates.
+    noise = 0.0
+    # The fastest rate of relaxation in states at a time, where it changes on the way.
+    stiffness_at: Callable[[float, Array], float] | None = None
     _sensitivity: tuple[tuple[float, bytes, float], float] | None = None
 
     def repeated(self, count: int) -> RigidBodyEquations:

@@ -55,6 +55,7 @@ class Forecast:
         breaks: instants at which the steps begin afresh.
         """
         self._breaks, self._bdf_cost = breaks, equations.bdf_cost
+        self._noise = equations.noise
         self._sensitivity = equations.sensitivity(t, state, end - t)
         self._asked = tolerance
         self._span = (end - t) * float(np.max(equations.mean_rate(t, state, end - t)))
@@ -69,7 +70,8 @@ class Forecast:
         """
         share = self._asked / self._sensitivity
         factor, power = _LOCAL.get(kind, (1.0, 1.0))
-        return max(float((factor * share) ** power), floor_of(kind))
+        least = floor_of(kind) if kind in EXPLICIT_TYPES else max(floor_of(kind), self._noise)
+        return max(float((factor * share) ** power), least)
 
     def reachable(self, kind: str) -> float:
         """The tolerance that leads to the smallest error of a step, that of rounding.
@@ -100,6 +102,11 @@ class Forecast:
         return self.steps(kind) * _COSTS.get(kind, self._bdf_cost)
 
     @property
+    def implicit(self) -> float:
+        """Right-hand sides of BDF, its start included."""
+        return self.evaluations("bdf") + _START * self._bdf_cost
+
+    @property
     def method(self) -> str:
         """The cheapest method: BDF where stability alone would set an explicit step.
 
@@ -108,8 +115,7 @@ class Forecast:
         """
         missed = self.reachable("bdf") > WITHIN * self._asked >= self.reachable("rk")
         share = AFFORDED if missed else 1.0
-        implicit = self.evaluations("bdf") + _START * self._bdf_cost
-        if share * implicit < self.evaluations("rk"):
+        if share * self.implicit < self.evaluations("rk"):
             if self._breaks * _START < self.steps("bdf"):
                 return "bdf"
             # It would not get beyond its low orders.

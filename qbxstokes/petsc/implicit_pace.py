@@ -7,19 +7,25 @@ lessens: many steps are rejected, and they shrink. Then the run starts afresh, w
 state as it is by then, or with a larger local tolerance where those are not to blame. Or the motion
 itself calls for steps so short that explicit ones would be stable. Those are taken once the steps
 so far have cost as much as all that is left would cost with them: at most twice the better choice.
+
+Explicit steps of bodies that come near each other or a wall are judged as well: drag grows there.
 """
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.motion.forecast import STAGES
 from qbxstokes.motion.layout import POSITION, RATES
-from qbxstokes.petsc.system import System
+from qbxstokes.petsc.system import RK_FORMULAS, System
 from qbxstokes.petsc.trajectory import Checkpoint
 
 # Steps between two looks; the first ones after a cut, of low order, are not judged.
 WINDOW = 200
+# Explicit steps between two looks at what has become stiff.
+_LOOK = 10
 # Rejected steps of a window beyond which the error estimate is taken for rounding.
 _REJECTED = 10
 # Growth of the state since a cut from which its sizes then are to blame, and by how much the local
@@ -35,10 +41,14 @@ _LONGER = 15.0
 class Pace:
     """Watches the steps since a cut."""
 
-    def __init__(self, system: System, start: Checkpoint) -> None:
-        self._system, self._start = system, start
+    def __init__(self, system: System, start: Checkpoint, vector: Any) -> None:
+        self._system, self._start, self._vector = system, start, vector
+        explicit = system.chosen and system.method in RK_FORMULAS and not start.changed
+        stiffening = system.equations.stiffness_at
+        self._stiffness_at = stiffening if explicit else None
         self._judged = system.chosen and system.method == "bdf"
-        self._stiffness = float(np.max(system.equations.stiffness)) if self._judged else 0.0
+        # Unknown, and not small, where it grows on the way.
+        self._stiffness = math.inf if stiffening else float(np.max(system.equations.stiffness))
         self._cost, self._next = system.equations.bdf_cost, start.steps + WINDOW
         self._before: tuple[float, int] | None = None
 
@@ -47,6 +57,8 @@ class Pace:
 
         steps: of the whole run; rejections: since the cut.
         """
+        if self._stiffness_at is not None:
+            return self._stiffened(t, steps)
         if not self._judged or steps < self._next:
             return False
         self._next += WINDOW
@@ -57,6 +69,14 @@ class Pace:
         self._rounding = rejections - before[1] > _REJECTED
         return self._rounding or self._explicit(t, steps)
 
+    def _stiffened(self, t: float, steps: int) -> bool:
+        """Whether explicit steps, as many as stability takes, cost more than implicit ones."""
+        if steps % _LOOK or self._stiffness_at is None:
+            return False
+        rate = self._stiffness_at(t, self._system.read(self._vector))
+        left = STAGES * (self._system.end - t) * rate / _STABLE
+        return left > self._system.guide.implicit
+
     def _explicit(self, t: float, steps: int) -> bool:
         if not self._step * self._stiffness < _STABLE * self._cost / STAGES:
             return False
@@ -65,6 +85,11 @@ class Pace:
 
     def changed(self, at: Checkpoint) -> Checkpoint:
         """The cut from which a run goes on that is held up."""
+        if self._stiffness_at is not None:
+            told = f"drag outgrew explicit steps; bdf from t = {at.time:.6g}"
+            return replace(
+                at, method="bdf", local_tolerance=0.0, reachable=0.0, expected=0.0, changed=told
+            )
         if self._explicit(at.time, at.steps):
             told = f"bdf did not get on; explicit steps from t = {at.time:.6g}"
             return replace(

@@ -148,7 +148,7 @@ class Run:
         self._vector = system.begin(start)
         self.ts = system.integrator(self._vector, adaptive=True)
         self._inside = Inside(system, self.ts, self._vector)
-        self._pace = Pace(system, start)
+        self._pace = Pace(system, start, self._vector)
         self._most_steps = self.ts.getMaxSteps()
         system.write(self._vector, start.state)
         self.ts.setTime(start.time)
@@ -216,7 +216,7 @@ class Run:
             late = ts.getStepNumber() >= cut or t >= self.checkpoint.time + chunk_time
             # BDF starts anew at low order after a cut, which some hundred steps must repay.
             young = self._system.method == "bdf" and (
-                ts.getStepNumber() < self.checkpoint.steps + min(BDF_STEPS, 3 * chunk_steps)
+                ts.getStepNumber() < self.checkpoint.steps + min(BDF_STEPS, 20 * chunk_steps)
                 and len(samples) < BDF_SAMPLES
             )
             due = (len(samples) >= chunk_samples or late) and not young

@@ -18,13 +18,12 @@ from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
 from qbxstokes.motion.layout import POSITION, RATES, SPIN, VELOCITY
+from qbxstokes.petsc import implicit
 from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.trajectory import Checkpoint
 from qbxstokes.typing import Array
 
 RK_FORMULAS = ("5dp", "8vr")
-# Error of a Newton step with an approximate Jacobian, in errors of a step of the integrator.
-_ENOUGH = 0.05
 # Right-hand sides of single bodies in this process so far, as they were forecast.
 _FORESEEN = [0.0]
 
@@ -62,21 +61,21 @@ class System:
         comm: Any = PETSc.COMM_SELF,
     ) -> None:
         self.equations, self.end, self._samples = equations, end, samples
-        self.prefix, self._longest, self._comm = prefix, longest_step, comm
+        self.prefix, self._longest, self.comm = prefix, longest_step, comm
         self.counter = Counter(start.evaluations, start.jacobians)
         self._breaks = breaks
         self._changing = equations.changing
         if self._changing is not None:
             span, accuracy = end or 1.0, equations.accuracy_in_time(tolerance)
             self._changing.sample(span, accuracy, longest_step or 0.02 * span)
-        self._guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
+        self.guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance
-        self._wanted = start.method or method or self._guide.method
+        self._wanted = start.method or method or self.guide.method
         # Whether it is the program that chose the method.
         self.chosen = method is None and not PETSc.Options().hasName(f"{prefix}ts_type")
         explicit = self._wanted in RK_FORMULAS
         kind = "rk" if explicit else self._wanted
-        self.expected = start.expected or self._guide.evaluations(kind) + STAGES * samples
+        self.expected = start.expected or self.guide.evaluations(kind) + STAGES * samples
         # By how many right-hand sides compiled ones repay their import. Many short runs of single
         # bodies count together: explicit formulas give the same numbers by either, to the last bit.
         self._repaid = self.expected
@@ -85,11 +84,11 @@ class System:
             self._repaid = max(self.expected, _FORESEEN[0])
         # What is integrated: the rotation alone where no centre can move. Compiled blocks take 1.2
         # to 2 times less then; with the plain kernels neither one body nor several gain anything.
-        self._moving: RigidBodyEquations | CentredEquations = equations
+        self.moving: RigidBodyEquations | CentredEquations = equations
         native = equations.compiled(self._repaid if self.chosen and explicit else 0.0)
         if native and equations.at_rest(start.state):
-            self._moving = CentredEquations(equations, start.state)
-        self.layout = self._moving.layout
+            self.moving = CentredEquations(equations, start.state)
+        self.layout = self.moving.layout
         self.native: Any = None
         self._former: list[Any] = []
 
@@ -147,18 +146,18 @@ class System:
         self._start = start
         if not start.local_tolerance and start.steps:  # a change of method, to be thought of anew
             self._wanted = start.method
-            self._guide = Forecast(
+            self.guide = Forecast(
                 self.equations, start.time, start.state, self.end, self._tolerance, self._breaks
             )
         self._scales = self.equations.scales(start.time, start.state)
         if self._changing is not None:  # at the start the flow may be as good as still
             rates = self._scales[:, VELOCITY.start :]
             np.maximum(rates, 1.0 / (self.end or 1.0), out=rates)
-        return PETSc.Vec().createSeq(self.layout.size, comm=self._comm)
+        return PETSc.Vec().createSeq(self.layout.size, comm=self.comm)
 
     def integrator(self, vector: Any, adaptive: bool) -> Any:
         """A TS of the wanted type with its callbacks, as defaults below the options."""
-        ts = PETSc.TS().create(self._comm)
+        ts = PETSc.TS().create(self.comm)
         ts.setOptionsPrefix(self.prefix)
         if self._wanted in RK_FORMULAS:
             ts.setType("rk")
@@ -195,13 +194,13 @@ class System:
             self._former.append(self.native)
             self.native = None
         self.method = str(ts.getRKType()) if kind == "rk" else kind
-        self.local_tolerance = self._start.local_tolerance or self._guide.tolerance(kind)
-        self.reachable = self._start.reachable or self._guide.reachable(kind)
+        self.local_tolerance = self._start.local_tolerance or self.guide.tolerance(kind)
+        self.reachable = self._start.reachable or self.guide.reachable(kind)
         self.rate = self._rate_callback()
         weights = vector.duplicate()
         self.write(weights, self._weights(kind))
         if self._by_lane:
-            self._set_implicit(ts, self.rate, vector, weights)
+            implicit.give(self, ts, vector, weights)
         elif (native := self._native_rate()) is not None:
             native.give(ts, vector.duplicate())
         else:
@@ -241,17 +240,17 @@ class System:
 
                 self.native = NativeUser.made(*found, self.layout)
         elif self.native is None:
-            block = self._moving.block_constants(self._repaid)
+            block = self.moving.block_constants(self._repaid)
             if block is not None:
                 from qbxstokes.petsc.native import NativeRate
 
                 self.native = NativeRate.made(block, self.layout)
         return self.native
 
-    def _native_implicit(self) -> Any:
+    def native_implicit(self) -> Any:
         """The equations of a single body as C functions for implicit formulas, or None."""
         if self.native is None and self.layout.columns == 1:
-            block = self._moving.block_constants(self._repaid)
+            block = self.moving.block_constants(self._repaid)
             if block is not None:
                 from qbxstokes.petsc.native_implicit import NativeImplicit
 
@@ -284,13 +283,13 @@ class System:
 
             return callback
 
-        function = self._moving.rate_function(self._repaid)
+        function = self.moving.rate_function(self._repaid)
         out = np.empty((self.layout.n_state, self.layout.columns))
 
         def callback_block(ts: Any, t: float, state: Any, rate: Any) -> None:
             counter.evaluations += 1
             try:
-                y = self._componentwise(state.getArray(readonly=1))
+                y = self.componentwise(state.getArray(readonly=1))
                 if self._by_lane:
                     function(t, y, out)
                     rate.setArray(self.layout.flat_by_lane(out.T))
@@ -311,107 +310,13 @@ class System:
 
         return callback_block
 
-    def _matrix(self) -> Any:
-        """Matrix of one dense block per lane; a dense matrix for one lane."""
-        n, size = self.layout.lanes, self.layout.block
-        if n == 1:
-            dense = PETSc.Mat().createDense((size, size), comm=self._comm)
-            dense.setUp()
-            dense.assemble()
-            return dense
-        rows = np.arange(0, n * size * size + 1, size, dtype=PETSc.IntType)
-        columns = np.repeat(np.arange(n * size, dtype=PETSc.IntType).reshape(n, size), size, axis=0)
-        self._pattern = rows, columns.ravel()
-        return PETSc.Mat().createAIJ(
-            (n * size, n * size),
-            bsize=size,
-            csr=(*self._pattern, np.zeros(columns.size)),
-            comm=self._comm,
-        )
-
-    def _set_implicit(self, ts: Any, rate: Callable[..., None], vector: Any, weights: Any) -> None:
-        """The equations as dy/dt - f(t, y) = 0 with the Jacobian shift I - df/dy.
-
-        weights: the error of a step that is accepted where a component is small.
-        """
-        work, matrix = vector.duplicate(), self._matrix()
-        # With the exact Jacobian the error left by a Newton step is its square times a curvature of
-        # order one, else a part of it. Residuals are no measure: their rounding grows with the
-        # stiffness. Each component is measured by its own size, as the steps are: a body far away has
-        # orientation still.
-        exact = self.equations.exact_jacobian
-        enough = 0.1 / math.sqrt(self.local_tolerance) if exact else _ENOUGH
-        weights = weights.getArray(readonly=1)
-        if (native := self._native_implicit()) is not None:
-            test = np.array([enough, self.local_tolerance, len(weights), *weights])
-            native.solve_with(ts, work, matrix, test)
-            return
-        jacobian = self._jacobian_callback()
-
-        def residual(ts: Any, t: float, state: Any, slope: Any, out: Any) -> None:
-            rate(ts, t, state, work)
-            out.waxpy(-1.0, work, slope)
-
-        def shifted(
-            ts: Any, t: float, state: Any, slope: Any, shift: float, _: Any, matrix: Any
-        ) -> None:
-            jacobian(t, state, matrix)
-            matrix.scale(-1.0)
-            matrix.shift(shift)
-
-        ts.setIFunction(residual, vector.duplicate())
-        ts.setIJacobian(shifted, matrix, matrix)
-
-        def converged(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
-            if not math.isfinite(norms[2]):
-                return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
-            if iteration > 0:
-                solution = np.abs(snes.getSolution().getArray(readonly=1))
-                accepted = enough * (weights + self.local_tolerance * solution)
-                if (np.abs(snes.getSolutionUpdate().getArray(readonly=1)) <= accepted).all():
-                    return int(PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE)
-            return int(PETSc.SNES.ConvergedReason.CONVERGED_ITERATING)
-
-        ts.getSNES().setConvergenceTest(converged)
-
-    def _jacobian_callback(self) -> Callable[[float, Any, Any], None]:
-        counter, equations = self.counter, self._moving
-        function = equations.jacobian_function(self.expected)
-        lanes, size = self.layout.lanes, self.layout.block
-        blocks = np.empty((lanes, size, size))
-        indices = np.arange(size, dtype=PETSc.IntType)
-
-        def callback(t: float, state: Any, matrix: Any) -> None:
-            counter.jacobians += 1
-            try:
-                try:
-                    function(t, self._componentwise(state.getArray(readonly=1)), blocks)
-                except FlowError as refusal:
-                    counter.refusal, counter.astray = refusal, True
-                except ArithmeticError:
-                    counter.refusal, counter.astray = None, True
-                if lanes == 1 and not np.isfinite(blocks).all():
-                    counter.astray = True
-                if counter.astray:
-                    blocks[:] = 0.0  # whatever comes of it is taken back
-                if lanes == 1:
-                    matrix.setValues(indices, indices, blocks[0])
-                else:
-                    matrix.setValuesCSR(*self._pattern, blocks)
-                matrix.assemble()
-            except BaseException as failure:
-                counter.failure = failure
-                raise
-
-        return callback
-
-    def _componentwise(self, values: Array) -> Array:
+    def componentwise(self, values: Array) -> Array:
         """The vector's values as (n_state, columns) of what is integrated."""
         return self.layout.by_lane(values) if self._by_lane else self.layout.by_component(values)
 
     def write(self, vector: Any, states: Array) -> None:
         """Put whole states (columns, n_state) into a vector."""
-        part = self._moving.integrated(states)
+        part = self.moving.integrated(states)
         vector.setArray(self.layout.flat_by_lane(part) if self._by_lane else part.T.ravel())
 
     def read(self, vector: Any) -> Array:
@@ -420,7 +325,7 @@ class System:
 
     def states(self, values: Array) -> Array:
         """Whole states (..., columns, n_state) of a vector's values (..., size), as a copy."""
-        return self._moving.completed(self.layout.states(values, self._by_lane))
+        return self.moving.completed(self.layout.states(values, self._by_lane))
 
     def first_step(self) -> float:
         """A step over which nothing moves by more than a tenth of its scale."""

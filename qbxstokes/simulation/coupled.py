@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.coupled_assembly import CoupledMotion, Together
     from qbxstokes.simulation.repulsion import Repulsion
-    from qbxstokes.simulation.solved_instant import Solution
     from qbxstokes.simulation.wall_table import OverWall
 
 Array = NDArray[np.float64]
@@ -136,7 +135,9 @@ class CoupledSimulation(Simulation):
             self.herald((kind, t, x, q, nodes, motion))
         suspension, flow = self.suspension, self.flow
         if kind == "resistance":
-            return suspension.rough_resistance(suspension.placed(x, q), nodes)
+            places, looser = suspension.placed(x, q), max(1.0, 1e-3 / suspension.tolerance)
+            coarser = suspension.problem(places, nodes).coarser
+            return suspension.resistance_of(suspension.problem(places, coarser, looser))
         if kind == "held":
             return suspension.held(flow, x, q, t=t, nodes=nodes, **motion)
         found = suspension.free(flow, x, q, t=t, nodes=nodes, **self.forces(t, x, q))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,151 +13,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
-from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
-from qbxstokes.flows.base import Between
-from qbxstokes.geometry import rotation
-from qbxstokes.geometry.symmetric import components, symmetric
+from qbxstokes.errors import SceneError
+from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
-from qbxstokes.motion.wall_constants import WallConstants
-from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import split_columns, watched
 from qbxstokes.simulation.flow_watch import breaks_of, stops_of
 from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
+from qbxstokes.simulation.shared_fluid import Fluid
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
 
 Array = NDArray[np.float64]
 
-# Steps and samples between cuts, where a run can be resumed: some seconds of work. Implicit steps of
-# bodies with inertia are many and short, and begin at low order after a cut.
-CUT_STEPS, CUT_STEPS_HEAVY, CUT_SAMPLES = 5, 100, 20
+# Steps and samples between cuts, where a run can be resumed: some seconds of work.
+CUT_STEPS, CUT_SAMPLES = 5, 20
+# Share of the tolerance of velocities by which they jump where grids change.
+_NOISE = 0.01
 # Steps at least over a run whose flow or loads change in time.
 _STEPS_IN_TIME = 20.0
 # Local tolerance above which 5dp takes fewer right-hand sides than 8vr.
 _LOOSE = 1e-6
-
-
-class Fluid(Between, Watch):
-    """What the equations ask of a scene: each answer is a problem of its own.
-
-    asked: whether a signal asks the run to stop; raises `Stopping` then, before the next problem.
-    """
-
-    thermal = None
-    asked: Callable[[], bool] | None = None
-
-    def __init__(self, scene: CoupledSimulation) -> None:
-        self.scene = scene
-        self.iterations = self.solves = 0
-        self.errors: dict[str, float] = {}
-        self._terms: Array | None = None
-
-    def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
-        """Velocities of the bodies under their loads."""
-        told = self._from_table(t, x, q)
-        if told is not None:
-            return told
-        found = self._solved("free", t, x, q)
-        return found.velocity, found.angular_velocity
-
-    def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
-        """Force and torque of the fluid ON the bodies."""
-        told = self._from_table(t, x, q, np.hstack([v, omega]))
-        if told is not None:
-            return told
-        found = self._solved("held", t, x, q, velocity=v, angular_velocity=omega)
-        return -found.force, -found.torque
-
-    def resistance(self, t: float, x: Array, q: Array) -> Array:
-        """Resistance (6N, 6N) of the bodies to the accuracy that a Jacobian needs."""
-        table = self.scene.table
-        if table is not None:
-            with suppress(ContactError, SceneError):
-                return np.linalg.inv(table.mobility(x[0], rotation.axis(q)[0]))
-        return np.asarray(self._solved("resistance", t, x, q))
-
-    def _from_table(
-        self, t: float, x: Array, q: Array, motion: Array | None = None
-    ) -> tuple[Array, Array] | None:
-        """Free velocities, or with a motion force and torque, from the table; None beyond it."""
-        scene, table = self.scene, self.scene.table
-        degree = 0 if scene.flow is None else scene.flow.degree
-        if table is None or degree is None or degree > 2:
-            return None
-        if self._terms is None or (scene.flow is not None and not scene.flow.steady):
-            self._terms = table.flow_terms(scene.flow, t)
-        try:
-            if motion is None:
-                load = np.hstack(self.loads(t, x, q))
-                return table.motion(self._terms, x, rotation.axis(q), load)
-            drag = table.drag(self._terms, x[0], rotation.axis(q)[0], motion[0])
-        except (ContactError, SceneError):
-            return None
-        return drag[None, :3], drag[None, 3:]
-
-    @property
-    def constants(self) -> Callable[[], WallConstants] | None:
-        """What the compiled rate over a wall takes, where all of it is the table's."""
-        scene, table = self.scene, self.scene.table
-        flow, loads = scene.flow, scene.loads
-        if table is None or scene.repulsion is not None or not (scene.massless and scene.steady):
-            return None
-        if flow is not None and not (flow.steady and flow.degree is not None and flow.degree <= 2):
-            return None
-        own: tuple[Any, ...] = () if loads is None else (loads.body_force, loads.body_torque)
-        if any(np.any(vectors) for vectors in own):
-            return None
-        terms = table.flow_terms(flow, 0.0)
-        load = np.hstack(self.loads(0.0, scene.position, scene.quaternion))[0]
-        return lambda: table.constants(terms, load)
-
-    def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
-        """Force and torque from outside."""
-        still = np.zeros((len(q), 3))
-        found = self.scene.forces(t, x, q)
-        return found.get("force", still), found.get("torque", still)
-
-    def gradient(self, t: float, x: Array) -> Array:
-        """Velocity gradient of the flow at the centres."""
-        flow = self.scene.flow
-        return np.zeros((len(x), 3, 3)) if flow is None else np.asarray(flow.gradient(x, t))
-
-    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Any) -> Array:
-        """Stresslets (N, 6) of the free bodies."""
-        return components(self._solved("free", t, x, q).stresslet)
-
-    def estimate(self, t: float, y: Array) -> None:
-        """Take the estimated errors of the velocities in a state into account."""
-        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
-        found = self._solved("estimate", t, x, q).error_estimate
-        for name in ("velocity", "angular_velocity"):
-            error = found[name]
-            if self.scene.table is not None:
-                error += self.scene.table.error_estimate
-            self.errors[name] = max(self.errors.get(name, 0.0), error)
-
-    def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
-        scene = self.scene
-        if self.asked is not None and self.asked():
-            raise Stopping
-        try:
-            places = scene.suspension.placed(x, q)
-            nodes = scene.suspension.grids(places, scene.flow, t, True, kind != "held")
-        except SceneError as error:  # beyond the edge of the flow, or at its singular point
-            raise FlowError(str(error)) from None
-        # From nothing, not from the last solution: numbers do not depend on what was asked before.
-        found = scene.solved(kind, t, x, q, nodes, **motion)
-        if kind != "resistance":
-            self.solves += 1
-            self.iterations += found.iterations
-        return found
 
 
 @dataclass
@@ -188,8 +69,7 @@ class Together:
         if flow is not None and longest:
             stops = stops_of([flow], end, 0.01 * self.scene.tolerance, longest)
             breaks = np.union1d(breaks_of([flow], end, local / longest), stops)
-        steps = CUT_STEPS if equations.massless else CUT_STEPS_HEAVY
-        limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": steps}
+        limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS}
         explicit = "5dp" if local > _LOOSE else "8vr"
         return integrate(
             equations,
@@ -403,7 +283,7 @@ def assemble(scene: CoupledSimulation) -> Together:
             moved, turned = own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]
             relaxation[:, b] = np.array([*moved[[0, 2]], *turned[[0, 2]]]) / stokes[b]
     ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
-    given = volume, inertia, relaxation, fluid.constants
+    given = volume, inertia, relaxation, fluid.constants, _NOISE * scene.suspension.tolerance
     equations = CoupledEquations(fluid, ratios, stokes, *given)
     start = equations.initial_state(
         scene.position, scene.quaternion, scene.velocity, scene.angular_velocity

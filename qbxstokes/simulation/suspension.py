@@ -164,7 +164,7 @@ class Suspension:
         Ordered body by body, force before torque, torque about each centre. nodes: polar nodes of
         each body, if not chosen by the gaps.
         """
-        return self._resistance(self.problem(self.placed(position, orientation), nodes))
+        return self.resistance_of(self.problem(self.placed(position, orientation), nodes))
 
     def resistance_and_error(
         self, position: ArrayLike, orientation: ArrayLike | None = None
@@ -172,15 +172,11 @@ class Suspension:
         """Resistance as above, and the estimated error of its entries over the largest of them."""
         problem = self.problem(places := self.placed(position, orientation))
         coarser = self.problem(places, problem.coarser, _LOOSER)
-        fine, coarse = map(self._resistance, (problem, coarser))
+        fine, coarse = map(self.resistance_of, (problem, coarser))
         return fine, problem.estimated(fine, coarse) / float(np.abs(fine).max())
 
-    def rough_resistance(self, places: Sequence[Placed], nodes: Sequence[int] | None) -> Array:
-        """The resistance as above, on grids of `Coupled.coarser`, to a part in a thousand."""
-        coarser = self.problem(places, nodes).coarser
-        return self._resistance(self.problem(places, coarser, max(1.0, 1e-3 / self.tolerance)))
-
-    def _resistance(self, problem: Coupled) -> Array:
+    def resistance_of(self, problem: Coupled) -> Array:
+        """The resistance (6N, 6N) of bodies as they are placed in a problem."""
         n = len(self)
         if n > MOST_RESISTANCE:
             raise SceneError("bodies", f"are {n}", f"at most {MOST_RESISTANCE} for the resistance")
