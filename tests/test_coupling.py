@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bispherical import Bispherical, brenner, near_wall
 
 import qbxstokes as qs
 from qbxstokes.bie.multiple_scattering import Placed, closest
@@ -19,6 +18,7 @@ from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.loads import Loads
 from qbxstokes.petsc.coupled import costs, dealt
 from qbxstokes.petsc.session import temporary_options
+from qbxstokes.reference.bispherical import Bispherical, brenner, near_wall
 
 ORIGIN, SHEAR = [[0.0, 0.0, 0.0]], qs.flow("shear")
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bispherical import Bispherical, near_wall
 
 import qbxstokes as qs
 from qbxstokes.bie.multiple_scattering import closest
 from qbxstokes.geometry import rotation
+from qbxstokes.reference.bispherical import Bispherical, near_wall
 
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
 STRAIN = qs.flow("polynomial", gradient=[[0, 0, 1], [0, 0, 0], [0, 0, 0]])

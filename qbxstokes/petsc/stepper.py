@@ -215,10 +215,9 @@ class Run:
                 t = halt
             late = ts.getStepNumber() >= cut or t >= self.checkpoint.time + chunk_time
             # BDF starts anew at low order after a cut, which some hundred steps must repay.
-            young = self._system.method == "bdf" and (
-                ts.getStepNumber() < self.checkpoint.steps + min(BDF_STEPS, 20 * chunk_steps)
-                and len(samples) < BDF_SAMPLES
-            )
+            enough = self.checkpoint.steps + min(BDF_STEPS, 20 * chunk_steps)
+            young = self._system.method == "bdf" and ts.getStepNumber() < enough
+            young = young and len(samples) < BDF_SAMPLES
             due = (len(samples) >= chunk_samples or late) and not young
             held_up = self._pace.held_up(t, ts.getStepNumber(), ts.getStepRejections())
             if due or held_up or index == len(times):

@@ -381,14 +381,10 @@ class Suspension:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
         if not np.all(np.isfinite(given)):
             raise SceneError("bodies", "got vectors that are not finite", "finite numbers")
-        try:
-            if given.shape[-1:] != (3,):
-                raise ValueError
-            return np.array(np.broadcast_to(given, (len(self), 3)))
-        except ValueError:
-            raise SceneError(
-                "bodies", f"got vectors of shape {given.shape}", f"shape {(len(self), 3)} or (3,)"
-            ) from None
+        if given.shape not in ((3,), (1, 3), (len(self), 3)):
+            right = f"shape {(len(self), 3)} or (3,)"
+            raise SceneError("bodies", f"got vectors of shape {given.shape}", right)
+        return np.array(np.broadcast_to(given, (len(self), 3)))
 
     def check(self, flow: Flow | None, t: float = 0.0) -> None:
         """Refuse a flow that slips on the wall."""

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bispherical import Bispherical, near_wall
 from conftest import See
 
 import qbxstokes as qs
+from qbxstokes.reference.bispherical import Bispherical, near_wall
 
 FULL = "FULL" in os.environ
 UP = qs.Wall(normal=[0.0, 0.0, 1.0])
