@@ -74,9 +74,8 @@ def integrate(
 
     start: states (columns, n_state) as in `motion.layout`, or the checkpoint of an interrupted run
     with the same other arguments, which then ends with the same numbers. tolerance: error accepted
-    at the end.
-    method: "5dp", "8vr", "rosw", "arkimex" or "bdf"; None chooses, options `-ts_*` with `prefix`
-    override it.
+    at the end. method: "5dp", "8vr", "rosw", "arkimex" or "bdf"; None chooses, options `-ts_*` with
+    `prefix` override it.
     on_chunk receives the samples in pieces of about `chunk_samples` (and at least every
     `chunk_steps` steps or `chunk_time` a piece, possibly without samples) and they are not kept;
     a piece of a BDF run is longer where it would have fewer than `BDF_STEPS` steps.
@@ -215,9 +214,9 @@ class Run:
                 t = halt
             late = ts.getStepNumber() >= cut or t >= self.checkpoint.time + chunk_time
             # BDF starts anew at low order after a cut, which some hundred steps must repay.
-            enough = self.checkpoint.steps + min(BDF_STEPS, 20 * chunk_steps)
-            young = self._system.method == "bdf" and ts.getStepNumber() < enough
-            young = young and len(samples) < BDF_SAMPLES
+            least = min(BDF_STEPS, 20 * chunk_steps) if self._system.method == "bdf" else 0
+            taken = ts.getStepNumber() - self.checkpoint.steps
+            young = taken < least and len(samples) < BDF_SAMPLES
             due = (len(samples) >= chunk_samples or late) and not young
             held_up = self._pace.held_up(t, ts.getStepNumber(), ts.getStepRejections())
             if due or held_up or index == len(times):
