@@ -113,7 +113,7 @@ def _spare_linear_algebra() -> None:
     """Let numba take BLAS for granted where SciPy is.
 
     It looks by importing all of SciPy's linear algebra, a twentieth of a short run, and does so
-    again where a function needs it.
+    again where a function needs it. Where numba is made in another way it looks for itself.
     """
     looked_for = "scipy.linalg.cython_blas"
     if looked_for in sys.modules or "numba.np.arraymath" in sys.modules:
@@ -121,6 +121,8 @@ def _spare_linear_algebra() -> None:
     sys.modules[looked_for] = None  # type: ignore[assignment]
     try:
         from numba.np import arraymath
+    except ImportError:
+        return
     finally:
         del sys.modules[looked_for]
     arraymath._HAVE_BLAS = "scipy" in sys.modules

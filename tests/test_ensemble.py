@@ -449,6 +449,8 @@ def test_ranks_leave_the_bits_alone(tmp_path: Path, mpirun: Run) -> None:
         ({"forces": {"force": [0, 0, 1]}}, "forces: has no meaning"),
         ({"start": {"angular_velocity": [0, 0, 1]}, "body": {"stokes_number": 1.0}}, "no meaning"),
         ({"flow": {"type": "shear"}}, "has no paths"),
+        ({"hydrodynamics": {"solve": "every_step"}}, "hydrodynamics.solve: has no meaning"),
+        ({"petsc": {"ts_type": "bdf"}}, "petsc.ts_type: has no meaning"),
     ],
 )
 def test_cases_that_have_no_statistics_are_refused(change: dict[str, Any], message: str) -> None:

@@ -125,6 +125,8 @@ def _bodies(
         given |= {name: bool(getattr(case, name).given_keys) for name in ("events", "compare")}
         given |= {"field": case.field is not None, "output.fields": bool(case.output.fields)}
         given |= {f"start.{name}": name != ORIENTATION[1] for name in case.start.given_keys}
+        given |= {"hydrodynamics.solve": case.hydrodynamics.solve == "every_step"}
+        given |= {f"petsc.{name}": name.startswith("ts_") for name in case.petsc}
         for name in (name for name, there in given.items() if there):
             raise loaded.error(name, "has no meaning with statistics", "leave it out")
         bodies.append(body_of(replace(loaded, case=case)))
