@@ -108,12 +108,12 @@ def closest(bodies: Sequence[Placed], wall: Plane | None) -> tuple[float, tuple[
     return float(found.gap[least]), (b, c), rates
 
 
-def gaps_of(bodies: Sequence[Placed], wall: Plane | None) -> Gaps:
-    """The gaps of all pairs."""
+def gaps_of(bodies: Sequence[Placed], wall: Plane | None, known: Gaps | None = None) -> Gaps:
+    """The gaps of all pairs; known: see `gaps_between`."""
     centres, axes = (np.stack([getattr(b, name) for b in bodies]) for name in ("position", "axis"))
     k, size = (np.array([getattr(b, name) for b in bodies]) for name in ("ratio", "size"))
-    above = () if wall is None else (wall.normal, wall.height(centres))
-    return gaps_between(centres, axes, k, size.astype(float), *above)
+    normal, heights = (None, None) if wall is None else (wall.normal, wall.height(centres))
+    return gaps_between(centres, axes, k, size.astype(float), normal, heights, known)
 
 
 @dataclass

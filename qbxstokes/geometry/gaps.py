@@ -6,7 +6,6 @@ m.(x_2 - x_1) - h_1(m) - h_2(m), which is concave; a negative one says how deep 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -37,27 +36,36 @@ def gaps_between(
     sizes: Array,
     normal: Array | None = None,
     heights: Array | None = None,
+    known: Gaps | None = None,
 ) -> Gaps:
     """All gaps of spheroids with centres and axes (N, 3), k (N,) and polar radii (N,).
 
-    normal (3,), heights (N,): of a wall, and of the centres above it.
+    normal (3,), heights (N,): of a wall, and of the centres above it. known: the result, where
+    another rank has found it.
     """
     wall = (np.zeros(3), np.zeros(0)) if normal is None or heights is None else (normal, heights)
-    given = (centres, axes, ratios, sizes, *wall)
-    return _found(*(np.asarray(some, dtype=np.float64).tobytes() for some in given))
+    given = [np.ascontiguousarray(some, float) for some in (centres, axes, ratios, sizes, *wall)]
+    key = tuple(some.tobytes() for some in given)
+    if key not in _LATEST:
+        _LATEST[key] = _found(given) if known is None else known
+        if len(_LATEST) > _KEPT:
+            del _LATEST[next(iter(_LATEST))]
+    return _LATEST[key]
 
 
-@lru_cache(maxsize=4)  # what watches bodies, what chooses grids and what deals them ask alike
-def _found(*given: bytes) -> Gaps:
-    """The gaps, by the numbers of what `gaps_between` is given; not to be written to."""
+# What watches bodies, what chooses grids and what deals them ask alike.
+_KEPT = 4
+_LATEST: dict[tuple[bytes, ...], Gaps] = {}
+
+
+def _found(given: list[Array]) -> Gaps:
+    """The gaps, by the arrays of what `gaps_between` is given; not to be written to."""
     from qbxstokes.geometry.gap_kernel import fill
 
-    centres, axes, ratios, sizes, normal, heights = map(np.frombuffer, given)
-    n = len(ratios)
-    count = n * (n - 1) // 2 + len(heights)
+    n, walls = len(given[2]), len(given[5])
+    count = n * (n - 1) // 2 + walls
     pairs, found = np.empty((count, 2), dtype=np.int64), np.empty((count, 6))
-    places = (some.reshape(n, 3).copy() for some in (centres, axes))
-    fill(*places, *(some.copy() for some in (ratios, sizes, normal, heights)), pairs, found)
+    fill(*given, pairs, found)
     pairs.flags.writeable = found.flags.writeable = False
     return Gaps(pairs, found[:, 0], found[:, 1:4], found[:, 4:])
 

@@ -137,7 +137,7 @@ def field_of_motion(
     if section.tracers is not None:
         start, end = assembled.initial, float(times[-1])
         if loaded.case.coupled:  # the other ranks no longer join in its solves
-            assembled.scene.suspension.comm = assembled.scene.herald = None
+            assembled.scene.part()
         with job.clock.part("tracers"):
             follow = tracers_among if loaded.case.coupled else moving_tracers
             with job.interruption.at_once(folder.folder):

@@ -242,9 +242,8 @@ def _help_with_bodies(job: Job) -> None:
     scene = coupled_of(job.loaded) if job.plan is None else job.plan.simulation
     scene.suspension.comm = over(job.comm)
     while (order := ordered(job.comm, pause=PAUSE)) is not None:
-        *problem, motion = order
         try:
-            scene.solved(*problem, **motion)
+            scene.join(*order)
         except QbxStokesError:
             continue  # rank 0 meets the same, and tells it
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.multiple_scattering import Placed, closest, names_of
+from qbxstokes.bie.multiple_scattering import Placed, closest, gaps_of, names_of
 from qbxstokes.case.running import Events as EventSettings
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
@@ -132,7 +132,8 @@ class CoupledSimulation(Simulation):
         with the estimated errors found, or "resistance": that, roughly, in place of a solution.
         """
         if self.herald is not None:
-            self.herald((kind, t, x, q, nodes, motion))
+            gaps = gaps_of(self.suspension.placed(x, q), self.suspension.plane)
+            self.herald((gaps, (kind, t, x, q, nodes), motion))
         suspension, flow = self.suspension, self.flow
         if kind == "resistance":
             places, looser = suspension.placed(x, q), max(1.0, 1e-3 / suspension.tolerance)
@@ -144,6 +145,15 @@ class CoupledSimulation(Simulation):
         if kind == "estimate":
             found.error_estimate  # noqa: B018  # found by all ranks
         return found
+
+    def join(self, gaps: Any, problem: tuple[Any, ...], motion: Mapping[str, Any]) -> None:
+        """Solve with the other ranks what their herald told: with the gaps that they know."""
+        gaps_of(self.suspension.placed(*problem[2:4]), self.suspension.plane, gaps)
+        self.solved(*problem, **motion)
+
+    def part(self) -> None:
+        """From here on solve without other ranks."""
+        self.suspension.comm = self.herald = None
 
     # -- what the scene is --------------------------------------------------------------------
 
