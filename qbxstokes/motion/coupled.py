@@ -245,9 +245,8 @@ class CoupledEquations(RigidBodyEquations):
                 block[:, own, :, columns] = (
                     -drag[:, part, :, :, other] / np.broadcast_to(mass, (n, 3))[:, :, None, None]
                 )
-        unit, half = np.eye(4), np.arange(n)
-        spins = np.concatenate([np.zeros((n, 1)), w], axis=1)
-        for b, moments in zip(half, self._moments, strict=True):
+        unit, spins = np.eye(4), np.concatenate([np.zeros((n, 1)), w], axis=1)
+        for b, moments in enumerate(self._moments):
             block[b, POSITION, b, VELOCITY] = np.eye(3)
             block[b, ORIENTATION, b, ORIENTATION] = 0.5 * rotation.multiply(unit, spins[b]).T
             block[b, ORIENTATION, b, SPIN] = 0.5 * rotation.multiply(raw[b], unit[1:]).T

@@ -21,6 +21,7 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.motion.forecast import Forecast
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
 from qbxstokes.runs.gathering import MOST
@@ -216,7 +217,11 @@ def coupled_seconds(plan: MotionPlan) -> float:
     sample = (steps - start) / (fluid.solves - solves) if fluid.solves > solves else 0.0
     fluid.estimate(0.0, assembled.initial)
     ends = first - begin + 3.0 * (time.process_time() - steps)
-    return ends + (steps - start) / max(share, 1e-6) + len(plan.times) * sample
+    whole = (steps - start) / max(share, 1e-6)
+    if share < 1.0 and trajectory.checkpoint.method == "bdf":  # which begins by short steps
+        about = assembled.equations, 0.0, assembled.initial, float(plan.times[-1])
+        whole = sample * Forecast(*about, scene.tolerance).implicit
+    return ends + whole + len(plan.times) * sample
 
 
 def _over(instant: float) -> bool:
