@@ -19,7 +19,7 @@ def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
     table[row, i, column], table[row, i, column + 1] = value.real, -value.imag
 
 
-@njit(cache=compiled_are_kept(), fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True, inline="always")
 def tabulate(points, k, degree, orders, start, recurrence, second, table):  # type: ignore[no-untyped-def]
     """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
 
@@ -116,7 +116,7 @@ def highest_degrees(points, ends, centre, turn, size, k, tolerance, most, highes
         highest[b] = found
 
 
-@njit(cache=compiled_are_kept())
+@njit(cache=compiled_are_kept(), fastmath=True)
 def tabulate_blocks(  # type: ignore[no-untyped-def]
     blocks, at, points, centre, turn, size, k, orders, start, recurrence, values, own
 ):
@@ -134,7 +134,7 @@ def tabulate_blocks(  # type: ignore[no-untyped-def]
         tabulate(x, k, degree, few, start, recurrence, rows == 10, where)
 
 
-@njit(cache=compiled_are_kept(), fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True, inline="always")
 def add_velocities(points, table, c, most, turn, at, total):  # type: ignore[no-untyped-def]
     """Add the turned velocities of u_i = E B_i + d_i E (C - x . B), summed over E, to total[at].
 
@@ -154,7 +154,7 @@ def add_velocities(points, table, c, most, turn, at, total):  # type: ignore[no-
             total[at[i], a] += turn[a, 0] * u + turn[a, 1] * v + turn[a, 2] * w
 
 
-@njit(cache=compiled_are_kept(), fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True, inline="always")
 def add_answers(  # type: ignore[no-untyped-def]
     points, table, c, most, turn, normal, size, heights, at, velocity, pressure
 ):
@@ -197,7 +197,7 @@ def add_answers(  # type: ignore[no-untyped-def]
         pressure[at[i]] += (4.0 * h * push - 2.0 * p - 4.0 * lift) / size
 
 
-@njit(cache=compiled_are_kept())
+@njit(cache=compiled_are_kept(), fastmath=True)
 def add_arrivals(  # type: ignore[no-untyped-def]
     blocks, values, points, flows, turns, normals, sizes, heights, at, most, velocity, pressure
 ):
