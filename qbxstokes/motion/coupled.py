@@ -253,11 +253,15 @@ class CoupledEquations(RigidBodyEquations):
             whirl = np.cross(np.eye(3), moments * w[b]) + np.cross(w[b], np.diag(moments))
             block[b, SPIN, b, SPIN] -= whirl.T / moments[:, None]
 
+    def resistance(self, t: float, y: Array) -> Array:
+        """The resistance (6N, 6N), roughly, of bodies in the states y (N, n_state)."""
+        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
+        return self.fluid.resistance(self.fluid.between(t), x, q)
+
     def stiffness_at(self, t: float, y: Array) -> float:
         """The fastest rate at which drag takes up a motion of bodies in the states y (N, 13)."""
-        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
         found = np.empty((1, y.size, y.size))
-        self.dragged(t, y.T, self.fluid.resistance(self.fluid.between(t), x, q), found)
+        self.dragged(t, y.T, self.resistance(t, y), found)
         rates = np.arange(y.size).reshape(y.shape)[:, RATES].ravel()
         return float(np.abs(np.linalg.eigvals(found[0][np.ix_(rates, rates)])).max())
 
@@ -278,7 +282,5 @@ class Drag:
         self._asked = t
         slow = self._times == _SLOW and self._since >= _LASTING
         if self._resistance is None or slow:
-            x, q = y.T[:, POSITION], rotation.normalize(y.T[:, ORIENTATION])
-            fluid = self._equations.fluid
-            self._resistance, self._since = fluid.resistance(fluid.between(t), x, q), 0
+            self._resistance, self._since = self._equations.resistance(t, y.T), 0
         self._equations.dragged(t, y, self._resistance, out)

@@ -61,10 +61,7 @@ class Layout:
 
     def by_lane(self, values: Array) -> Array:
         """(n_state, columns) of a flat vector by lane; a view for one body."""
-        if self.bodies == 1:
-            return values.reshape(self.lanes, self.n_state).T
-        lanes = values.reshape(self.lanes, self.bodies, self.n_state)
-        return lanes.transpose(2, 1, 0).reshape(self.n_state, self.columns)
+        return self.states(values, True).T
 
     def states(self, values: Array, by_lane: bool) -> Array:
         """States (..., columns, n_state) of flat vectors (..., size), as a view where it may be."""

@@ -86,15 +86,10 @@ class Pace:
     def changed(self, at: Checkpoint) -> Checkpoint:
         """The cut from which a run goes on that is held up."""
         if self._stiffness_at is not None:
-            told = f"drag outgrew explicit steps; bdf from t = {at.time:.6g}"
-            return replace(
-                at, method="bdf", local_tolerance=0.0, reachable=0.0, expected=0.0, changed=told
-            )
+            return self._by(at, "bdf", f"drag outgrew explicit steps; bdf from t = {at.time:.6g}")
         if self._explicit(at.time, at.steps):
             told = f"bdf did not get on; explicit steps from t = {at.time:.6g}"
-            return replace(
-                at, method="8vr", local_tolerance=0.0, reachable=0.0, expected=0.0, changed=told
-            )
+            return self._by(at, "8vr", told)
         if self._size(at) > _GROWTH * self._size(self._start):
             return at
         told = f"rounding held bdf up; a larger local tolerance from t = {at.time:.6g}"
@@ -103,6 +98,13 @@ class Pace:
             local_tolerance=_LOOSER * at.local_tolerance,
             reachable=_LOOSER * at.reachable,
             changed=told,
+        )
+
+    @staticmethod
+    def _by(at: Checkpoint, method: str, told: str) -> Checkpoint:
+        """The cut with another method, of which all is to be thought of anew."""
+        return replace(
+            at, method=method, local_tolerance=0.0, reachable=0.0, expected=0.0, changed=told
         )
 
     @staticmethod

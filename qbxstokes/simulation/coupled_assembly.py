@@ -70,13 +70,12 @@ class Together:
             stops = stops_of([flow], end, 0.01 * self.scene.tolerance, longest)
             breaks = np.union1d(breaks_of([flow], end, local / longest), stops)
         limits = {"chunk_samples": CUT_SAMPLES, "chunk_steps": CUT_STEPS}
-        explicit = "5dp" if local > _LOOSE else "8vr"
         return integrate(
             equations,
             self.initial if start is None else start,
             times,
             self.scene.tolerance,
-            method=explicit if equations.massless else None,
+            method=("5dp" if local > _LOOSE else "8vr") if equations.massless else None,
             longest_step=longest,
             breaks=breaks,
             watch=self.fluid,

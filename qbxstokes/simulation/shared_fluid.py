@@ -57,7 +57,8 @@ class Fluid(Between, Watch):
         table = self.scene.table
         if table is not None:
             with suppress(ContactError, SceneError):
-                return np.linalg.inv(table.mobility(x[0], rotation.axis(q)[0]))
+                place = x[0], rotation.axis(q)[0]
+                return np.linalg.inv(table.free_and_mobility(table.flow_terms(None), *place)[1])
         return np.asarray(self._solved("resistance", t, x, q))
 
     def _from_table(

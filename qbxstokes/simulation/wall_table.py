@@ -104,14 +104,14 @@ class OverWall:
 
     def drag(self, terms: Array, position: Array, axis: Array, motion: Array) -> Array:
         """Force and torque (6,) of the fluid ON one body of given velocities (6,)."""
-        x, d = np.repeat(position[None], 7, axis=0), np.repeat(axis[None], 7, axis=0)
-        free = np.hstack(self.motion(terms, x, d, np.vstack([np.zeros(6), np.eye(6)])))
-        return np.asarray(np.linalg.solve((free[1:] - free[0]).T, free[0] - motion))
+        free, mobility = self.free_and_mobility(terms, position, axis)
+        return np.asarray(np.linalg.solve(mobility, free - motion))
 
-    def mobility(self, position: Array, axis: Array) -> Array:
-        """Mobility (6, 6) of one body."""
-        x, d = np.repeat(position[None], 6, axis=0), np.repeat(axis[None], 6, axis=0)
-        return np.hstack(self.motion(np.zeros((5, 3)), x, d, np.eye(6))).T
+    def free_and_mobility(self, terms: Array, position: Array, axis: Array) -> tuple[Array, Array]:
+        """Velocities (6,) of one body without loads, and its mobility (6, 6)."""
+        x, d = np.repeat(position[None], 7, axis=0), np.repeat(axis[None], 7, axis=0)
+        found = np.hstack(self.motion(terms, x, d, np.vstack([np.zeros(6), np.eye(6)])))
+        return found[0], (found[1:] - found[0]).T
 
     def constants(self, terms: Array, load: Array) -> WallConstants:
         """What a compiled right-hand side takes of the table, as far as it is made, and a load."""
