@@ -1,6 +1,6 @@
 """Background flows: Stokes flows in which the body moves."""
 
-from qbxstokes.flows.base import Flow, SumFlow, add_flows
+from qbxstokes.flows.base import Flow, SumFlow, TransformedFlow, add_flows
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.check import check_regular, check_singularities, check_stokesian
 from qbxstokes.flows.interpolation import Series
@@ -9,7 +9,6 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.flows.registry import REGISTRY, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
-from qbxstokes.flows.transformed import TransformedFlow
 from qbxstokes.flows.user import UserFlow, resolve_paths
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What every background flow offers, and the sums of flows.
+"""What every background flow offers, and flows made of others: sums, and those moved and turned.
 
 A background flow is a solution of the steady Stokes equations (mu = 1): div u = 0 and
 grad p = Lap u. Points have their three coordinates on the last axis and any leading shape; the
@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.differences import around, gradient_of
-from qbxstokes.flows.domain import Domain
-from qbxstokes.flows.values import check_keys
+from qbxstokes.flows.differences import around, curl, gradient_of
+from qbxstokes.flows.domain import Domain, moved
+from qbxstokes.flows.values import check_keys, number, tensor
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -154,17 +154,17 @@ class Flow(ABC):
         """The sum as one flow of this kind, where it is one."""
         return None
 
-    @abstractmethod
     def shifted(self, displacement: ArrayLike) -> Flow:
         """The whole flow moved: u'(x) = u(x - displacement)."""
+        return TransformedFlow(self).shifted(displacement)
 
-    @abstractmethod
     def rotated(self, rotation: ArrayLike) -> Flow:
         """The whole flow turned about the space origin: u'(x) = R u(R^T x), R (3, 3)."""
+        return TransformedFlow(self).rotated(rotation)
 
-    @abstractmethod
     def scaled(self, factor: float) -> Flow:
         """The flow times a number."""
+        return TransformedFlow(self).scaled(factor)
 
     @property
     def surely_stokesian(self) -> bool:
@@ -187,18 +187,6 @@ class Flow(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.spec()})"
-
-
-def curl(gradient: Array) -> Array:
-    """Curl (..., 3) from the gradient A[..., i, j] = df_i/dx_j."""
-    return np.stack(
-        [
-            gradient[..., 2, 1] - gradient[..., 1, 2],
-            gradient[..., 0, 2] - gradient[..., 2, 0],
-            gradient[..., 1, 0] - gradient[..., 0, 1],
-        ],
-        axis=-1,
-    )
 
 
 def add_flows(flows: Iterable[Flow]) -> Flow:
@@ -231,24 +219,11 @@ def add_flows(flows: Iterable[Flow]) -> Flow:
     return terms[0] if len(terms) == 1 else SumFlow(terms)
 
 
-class Between:
-    """Which instant is asked for at a break: one just before it, or just after it."""
+class Composed(Flow):
+    """A flow made of others, the terms: as fine in space and time, and known where they are.
 
-    last, since = math.inf, -math.inf
-
-    def until(self, t: float, since: float = -math.inf) -> None:
-        """As `Flow.until`."""
-        self.last, self.since = math.nextafter(t, -math.inf), since
-
-    def between(self, t: float) -> float:
-        """The instant to ask for in the place of t."""
-        return min(math.nextafter(t, math.inf) if t == self.since else t, self.last)
-
-
-class SumFlow(Flow):
-    """Sum of flows of which at most one is polynomial; made by `add_flows`."""
-
-    type_name = "sum"
+    A subclass says how their values are put together.
+    """
 
     def __init__(self, terms: Sequence[Flow]) -> None:
         self.terms = tuple(terms)
@@ -260,6 +235,59 @@ class SumFlow(Flow):
         self.singular_points = np.concatenate([flow.singular_points for flow in self.terms])
         self.singular_points_known = all(flow.singular_points_known for flow in self.terms)
         self.domain = tuple(dict.fromkeys(edge for flow in self.terms for edge in flow.domain))
+
+    @abstractmethod
+    def _composed(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+        """What the method `name` finds, from that of the terms."""
+
+    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (..., 3)."""
+        return self._composed("velocity", x, t)
+
+    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity gradient (..., 3, 3)."""
+        return self._composed("gradient", x, t)
+
+    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Laplacian (..., 3)."""
+        return self._composed("laplacian", x, t)
+
+    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
+        """Pressure (...)."""
+        return self._composed("pressure", x, t)
+
+    def vorticity_of_laplacian(
+        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
+    ) -> Array:
+        """Curl of the Laplacian (..., 3)."""
+        return self._composed("vorticity_of_laplacian", x, t, reach)
+
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """Those of all terms."""
+        found = [flow.breaks(end, rough / len(self.terms)) for flow in self.terms]
+        return np.asarray(np.unique(np.concatenate(found)))
+
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """So do all terms."""
+        for flow in self.terms:
+            flow.until(t, since)
+
+    @classmethod
+    def _inner(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """The flow that a specification names as `flow`; raises FlowError that says where."""
+        check_keys(spec, list(cls.keys()), cls.type_name)
+        if "flow" not in spec:
+            raise FlowError(f"flow {cls.type_name!r} needs 'flow', the specification of another")
+        try:
+            return build(spec["flow"])
+        except FlowError as error:
+            raise FlowError(str(error), ("flow", *error.key)) from None
+
+
+class SumFlow(Composed):
+    """Sum of flows of which at most one is polynomial; made by `add_flows`."""
+
+    type_name = "sum"
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
@@ -279,41 +307,8 @@ class SumFlow(Flow):
         whole = flow.polynomial
         return flow if whole is None else whole.named({"type": cls.type_name, "terms": list(terms)})
 
-    def _sum(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
-        """The sum of what a method of the terms finds."""
+    def _composed(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
         return np.asarray(sum(getattr(flow, name)(x, t, *more) for flow in self.terms))
-
-    def velocity(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Velocity (..., 3)."""
-        return self._sum("velocity", x, t)
-
-    def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Velocity gradient (..., 3, 3)."""
-        return self._sum("gradient", x, t)
-
-    def laplacian(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Laplacian (..., 3)."""
-        return self._sum("laplacian", x, t)
-
-    def pressure(self, x: ArrayLike, t: float = 0.0) -> Array:
-        """Pressure (...)."""
-        return self._sum("pressure", x, t)
-
-    def vorticity_of_laplacian(
-        self, x: ArrayLike, t: float = 0.0, reach: float | None = None
-    ) -> Array:
-        """Curl of the Laplacian (..., 3)."""
-        return self._sum("vorticity_of_laplacian", x, t, reach)
-
-    def breaks(self, end: float, rough: float = 0.0) -> Array:
-        """Those of all terms."""
-        found = [flow.breaks(end, rough / len(self.terms)) for flow in self.terms]
-        return np.asarray(np.unique(np.concatenate(found)))
-
-    def until(self, t: float, since: float = -math.inf) -> None:
-        """So do all terms."""
-        for flow in self.terms:
-            flow.until(t, since)
 
     def spec(self) -> dict[str, Any]:
         """Specification with one term for each flow of the sum."""
@@ -330,3 +325,74 @@ class SumFlow(Flow):
     def scaled(self, factor: float) -> Flow:
         """The sum of the scaled terms."""
         return add_flows(flow.scaled(factor) for flow in self.terms)
+
+
+class TransformedFlow(Composed):
+    """u'(x) = factor R u(R^T (x - position)) of any flow u, for those with no closed form of it."""
+
+    type_name = "transformed"
+    linear_in = ("factor",)
+
+    def __init__(
+        self,
+        flow: Flow,
+        rotation: ArrayLike | None = None,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        factor: float = 1.0,
+    ) -> None:
+        super().__init__([flow])
+        self.flow = flow
+        self.rotation = tensor(np.eye(3) if rotation is None else rotation, "rotation", (3, 3))
+        self.position = tensor(position, "position", (3,))
+        self.factor = number(factor, "factor")
+        self.singular_points = flow.singular_points @ self.rotation.T + self.position
+        self.domain = moved(flow.domain, self.rotation, self.position)
+
+    @classmethod
+    def keys(cls) -> dict[str, Any]:
+        """`flow` and `factor`; position and rotation are keys that every flow has."""
+        known = super().keys()
+        return {name: known[name] for name in ("flow", "factor")}
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """Flow {"flow": spec, "factor": number}, moved and turned by the keys every flow has."""
+        return cls._inner(spec, build).scaled(number(spec.get("factor", 1.0), "factor"))
+
+    def _composed(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+        turn = self.rotation
+        inside = (np.asarray(x, dtype=float) - self.position) @ turn
+        found = getattr(self.flow, name)(inside, t, *more)
+        if name == "gradient":
+            found = turn @ found @ turn.T
+        elif name != "pressure":
+            found = found @ turn.T
+        return np.asarray(self.factor * found)
+
+    def breaks(self, end: float, rough: float = 0.0) -> Array:
+        """Those of the flow, whose gradient may be a larger one."""
+        return self.flow.breaks(end)
+
+    def spec(self) -> dict[str, Any]:
+        """Specification that moves, turns and scales that of the flow."""
+        return {
+            "type": self.type_name,
+            "flow": self.flow.spec(),
+            "factor": self.factor,
+            "rotation": self.rotation.tolist(),
+            "position": self.position.tolist(),
+        }
+
+    def shifted(self, displacement: ArrayLike) -> TransformedFlow:
+        """The flow moved further."""
+        position = self.position + tensor(displacement, "position", (3,))
+        return TransformedFlow(self.flow, self.rotation, position, self.factor)
+
+    def rotated(self, rotation: ArrayLike) -> TransformedFlow:
+        """The flow turned further about the space origin."""
+        turn = tensor(rotation, "rotation", (3, 3))
+        return TransformedFlow(self.flow, turn @ self.rotation, turn @ self.position, self.factor)
+
+    def scaled(self, factor: float) -> TransformedFlow:
+        """The flow times a further number."""
+        return TransformedFlow(self.flow, self.rotation, self.position, self.factor * factor)

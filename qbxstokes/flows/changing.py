@@ -122,7 +122,7 @@ class ChangingFlow(SumFlow):
         """Whether it is a gradient alone, of which the trace is looked at."""
         return all(part.gradient for part in self.signal.parts) and self.degree == 1
 
-    def _sum(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+    def _composed(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
         if self.polynomials:
             return np.asarray(getattr(self.at(t), name)(x, t, *more))
         (factors,) = self._factors(np.array([t])).tolist()

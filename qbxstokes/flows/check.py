@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Flow, curl
-from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of
+from qbxstokes.flows.base import Flow
+from qbxstokes.flows.differences import curl, gradient_of, laplacian_gradient_of
 from qbxstokes.flows.domain import Outline
 from qbxstokes.typing import Array
 

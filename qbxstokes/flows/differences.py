@@ -85,6 +85,18 @@ def laplacian_gradient_of(field: VectorField, x: Array, step: Array, levels: int
     return extrapolate(estimate, step, levels)
 
 
+def curl(gradient: Array) -> Array:
+    """Curl (..., 3) from the gradient A[..., i, j] = df_i/dx_j."""
+    return np.stack(
+        [
+            gradient[..., 2, 1] - gradient[..., 1, 2],
+            gradient[..., 0, 2] - gradient[..., 2, 0],
+            gradient[..., 1, 0] - gradient[..., 0, 1],
+        ],
+        axis=-1,
+    )
+
+
 # Weights of the values at one, two and three steps: of a first derivative, those behind with the
 # other sign, and of a second one, with that of the value between (Fornberg, Math. Comp. 51, 1988).
 _FIRST = np.array([0.75, -0.15, 1.0 / 60.0])

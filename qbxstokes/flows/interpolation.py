@@ -38,6 +38,20 @@ def _kept_weights(times: bytes, interpolation: str) -> tuple[Integers, Array]:
     return power_weights(np.frombuffer(times), interpolation)
 
 
+class Between:
+    """Which instant is asked for at a break: one just before it, or just after it."""
+
+    last, since = math.inf, -math.inf
+
+    def until(self, t: float, since: float = -math.inf) -> None:
+        """As `Flow.until`."""
+        self.last, self.since = math.nextafter(t, -math.inf), since
+
+    def between(self, t: float) -> float:
+        """The instant to ask for in the place of t."""
+        return min(math.nextafter(t, math.inf) if t == self.since else t, self.last)
+
+
 class Series:
     """Numbers from samples in time: times (T,), values (..., T, m), or (T,) of one number each.
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
-from qbxstokes.flows.base import Build, Flow, curl
+from qbxstokes.flows.base import Build, Flow
+from qbxstokes.flows.differences import curl
 from qbxstokes.flows.domain import Domain, moved
 from qbxstokes.flows.values import (
     Exponents,

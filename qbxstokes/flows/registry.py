@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from qbxstokes.errors import FlowError, nearest
-from qbxstokes.flows.above_wall import AboveWall
-from qbxstokes.flows.base import Flow, SumFlow
+from qbxstokes.flows.base import Flow, SumFlow, TransformedFlow
 from qbxstokes.flows.changing import ChangingFlow, in_time
 from qbxstokes.flows.named import (
     Extension,
@@ -20,8 +19,7 @@ from qbxstokes.flows.named import (
     WallStagnation,
 )
 from qbxstokes.flows.polynomial import PolynomialFlow
-from qbxstokes.flows.singularities import Rotlet, Stokeslet, Stresslet
-from qbxstokes.flows.transformed import TransformedFlow
+from qbxstokes.flows.singularities import AboveWall, Rotlet, Stokeslet, Stresslet
 from qbxstokes.flows.user import UserFlow, resolve_paths
 from qbxstokes.flows.values import rotation_matrix, tensor
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
-from qbxstokes.flows.base import Between
-from qbxstokes.flows.interpolation import Series
+from qbxstokes.flows.interpolation import Between, Series
 from qbxstokes.flows.values import DOUBLE, SINGLE, Key, settled, tensor, traceless
 from qbxstokes.typing import Array, Indices, Integers
 

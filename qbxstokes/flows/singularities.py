@@ -1,4 +1,4 @@
-"""Point singularities of Stokes flow in closed form: stokeslet, rotlet, stresslet.
+"""Point singularities of Stokes flow in closed form, and what a plane wall answers to them.
 
 With r = x - position, r = |r| and mu = 1 (Kim & Karrila 1991, Microhydrodynamics, chapter 2;
 Pozrikidis 1992, Boundary Integral and Singularity Methods, chapters 2 and 7).
@@ -12,12 +12,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.flows.base import Build, Flow
+from qbxstokes.errors import FlowError
+from qbxstokes.flows.base import Build, Composed, Flow
+from qbxstokes.flows.differences import gradient_of, laplacian_of
+from qbxstokes.flows.domain import Plane
 from qbxstokes.flows.values import number, settled, tensor, traceless
 from qbxstokes.typing import Array
 
 _FOUR_PI = 4.0 * np.pi
 _EIGHT_PI = 8.0 * np.pi
+_UP, _MIRROR = np.array([0.0, 1.0, 0.0]), np.array([1.0, -1.0, 1.0])
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -193,3 +197,57 @@ class Stresslet(Singularity):
         """p = -3 s/(4 pi r^5)."""
         arm, inverse = self._arms(x)
         return np.asarray(-3.0 / _FOUR_PI * _dot(arm @ self.strength, arm) * inverse**5)
+
+
+class AboveWall(Composed):
+    """Any flow that is regular below x2 = 0, held at rest on that plane by its images.
+
+    With ^ for the value at the mirrored point, h = x2 and J = diag(1, -1, 1), Lorentz's reflection
+    (Kim & Karrila 1991, section 12.1) adds
+
+        -u^ + 2 h J (grad u_2)^ + h^2 J (grad p)^,   p^ - 2 h (d_2 p)^ - 4 (d_2 u_2)^
+
+    which makes of a stokeslet that of J. R. Blake 1971. The derivatives of the image are taken by
+    extrapolated differences.
+    """
+
+    type_name = "above_wall"
+
+    def __init__(self, flow: Flow) -> None:
+        points = flow.singular_points
+        if not flow.singular_points_known or not len(points):
+            raise FlowError("flow 'above_wall' needs a singular flow, such as a stokeslet")
+        if points[:, 1].min() <= 0.0:
+            raise FlowError("flow 'above_wall' needs its singular points above x2 = 0")
+        super().__init__([flow])  # the singular points of its image are behind the wall
+        self.flow, self.domain = flow, (*flow.domain, Plane(np.zeros(3), _UP))
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any], build: Build) -> Flow:
+        """Flow {"flow": spec}; its wall is x2 = 0, moved and turned by the keys every flow has."""
+        return cls(cls._inner(spec, build))
+
+    def _composed(self, name: str, x: ArrayLike, t: float, *more: Any) -> Array:
+        points = np.asarray(x, dtype=float)
+        found: Array = getattr(self.flow, name)(points, t, *more)
+        if name == "vorticity_of_laplacian":  # the image is a Stokes flow where the flow is one
+            return found
+        return found + self._image(name, points, t)
+
+    def _image(self, name: str, x: Array, t: float) -> Array:
+        """What the wall adds to the velocity, gradient, Laplacian or pressure."""
+        flow, there, h = self.flow, x * _MIRROR, x[..., 1, None]
+        if name == "velocity":
+            lift = 2.0 * h * flow.gradient(there, t)[..., 1, :] + h * h * flow.laplacian(there, t)
+            return np.asarray(lift * _MIRROR - flow.velocity(there, t))
+        if name == "pressure":
+            image = flow.pressure(there, t) - 4.0 * flow.gradient(there, t)[..., 1, 1]
+            return np.asarray(image - 2.0 * x[..., 1] * flow.laplacian(there, t)[..., 1])
+        away = x[..., None, :] - flow.singular_points * _MIRROR
+        step = 0.2 * np.linalg.norm(away, axis=-1).min(axis=-1)
+        derivative = gradient_of if name == "gradient" else laplacian_of
+        return derivative(lambda y: self._image("velocity", y, t), x, step)
+
+    def spec(self) -> dict[str, Any]:
+        """Specification with that of the flow."""
+        return {"type": self.type_name, "flow": self.flow.spec()}

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError, FlowFunctionError
-from qbxstokes.flows.base import Between, curl
-from qbxstokes.flows.differences import gradient_of, laplacian_gradient_of, laplacian_of
-from qbxstokes.flows.transformed import Transformable
+from qbxstokes.flows.base import Flow
+from qbxstokes.flows.differences import curl, gradient_of, laplacian_gradient_of, laplacian_of
+from qbxstokes.flows.interpolation import Between
 from qbxstokes.flows.values import instants, number, tensor
 from qbxstokes.typing import Array
 
@@ -40,7 +40,7 @@ LIBRARIES = (".so", ".dylib", ".dll")  # files that functions of C are in
 _kept: dict[str, Any] = {}  # what Python cannot refer to weakly, such as a function written in C
 
 
-class UserFlow(Transformable):
+class UserFlow(Flow):
     """u(x) = function(x) or function(x, t), with x an array (n, 3) and the result of that shape.
 
     Derivatives are extrapolated central differences (`qbxstokes.flows.differences`) with steps up

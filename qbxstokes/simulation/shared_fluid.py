@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
-from qbxstokes.flows.base import Between
+from qbxstokes.flows.interpolation import Between
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components
 from qbxstokes.motion.layout import ORIENTATION, POSITION
