@@ -32,6 +32,10 @@ FLOWS = {
     "linear": {"type": "shear", "rate": 2.0},
     "quadratic": {"type": "paraboloid", "curvature": 0.3},
     "singular": {"type": "stokeslet", "strength": [1.0, 0.5, 0.0], "position": [0.0, 4.0, 0.0]},
+    "recognised": {
+        "type": "user",
+        "function": lambda x: np.stack([x[:, 1], *np.zeros((2, len(x)))], 1),
+    },
 }
 EVERY_STEP = {"hydrodynamics": {"tolerance": 1e-8, "solve": "every_step"}}
 

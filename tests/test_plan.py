@@ -62,7 +62,7 @@ def test_the_resistance_is_formed_where_forces_act_or_it_is_asked_for(
 ) -> None:
     loaded = load_case(write_case(CASE | change))
     plan = make_plan(loaded)
-    assert plan.simulation.need().completion == completion
+    assert plan.simulation.completion() == completion
     assert any(text.startswith("resistance:") for text in plan.skips) == (completion is None)
     formed = plan.simulation.assemble().hydrodynamics[0].model.formed_resistance
     assert (formed is None) == (completion is None)
@@ -82,7 +82,7 @@ def test_a_sweep_forms_what_any_of_its_bodies_needs(
 ) -> None:
     scenes = Scenes(load_case(write_case(CASE | {"sweep": {"axes": [axis]}})))
     plans = [scenes.scene(n).plan for n in range(scenes.size)]
-    assert {p.simulation.need(scenes.pushed).completion for p in plans} == {completion}
+    assert {p.simulation.completion(scenes.pushed) for p in plans} == {completion}
 
 
 def test_a_kept_body_with_resistance_serves_without_and_not_the_reverse(

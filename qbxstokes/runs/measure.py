@@ -27,7 +27,7 @@ from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.compare import Comparison, compare_samples
 from qbxstokes.simulation.from_case import body_of, simulation_of, start_of
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.law import Law, form_law
 from qbxstokes.simulation.simulation import Simulation
@@ -124,14 +124,12 @@ class Measurer:
         # What bodies have in common of which one can stand for the other.
         options = {k: v for k, v in loaded.case.petsc.items() if k.startswith(SOLVER_OPTIONS)}
         alike = [loaded.case.body.outline.spec(), plain(loaded.case.hydrodynamics), options]
-        alike += [loaded.flow.degree, plan.simulation.need().completion]
+        alike += [loaded.flow.degree, plan.simulation.completion()]
         key = json.dumps(alike, sort_keys=True)
         known, setup = self._known.get(key, (None, None))
 
         def form(part: Simulation, workshop: Workshop) -> Hydrodynamic:
-            need = part.need()
-            ask = partial(part.body.hydrodynamics_in, part.flow, need, workshop)
-            return timed(setups, ask)
+            return timed(setups, partial(hydrodynamics_of, part, workshop))
 
         for _ in range(turns):
             body = known or body_of(loaded)

@@ -98,7 +98,7 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
                     "leave it out",
                 )
         quantities = tuple(dict.fromkeys(case.output.fields))
-    needs, skips = _work(case, scene.kind, loaded.flow.degree, scene.need(pushed).completion)
+    needs, skips = _work(case, scene.kind, loaded.flow.degree, scene.completion(pushed))
     return MotionPlan(scene, needs, skips, times, quantities)
 
 

@@ -20,7 +20,7 @@ from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.shared_rows import RowTeam, with_team
-from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.hydrodynamics import Workshop, hydrodynamics_of
 from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology
 from qbxstokes.simulation.simulation import Simulation
@@ -73,7 +73,7 @@ def _computed(
     section = case.rheology
     assert section is not None
     with clock.part("set-up"), _pointed(loaded):
-        formed = scene.body.hydrodynamics_in(scene.flow, scene.need(pushed=True), workshop)
+        formed = hydrodynamics_of(scene, workshop, pushed=True)
     with clock.part("suspension"), _pointed(loaded):
         found = suspension_of(loaded, scene, workshop, {"averaging": averaging})
     errors, references = {}, {}

@@ -26,7 +26,7 @@ from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import body_of, pointed
-from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.hydrodynamics import Workshop, hydrodynamics_of
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import AnyArray
 
@@ -123,9 +123,7 @@ def form_models(
         try:
             scene = scenes.scene(representatives[number])
             with pointed(scene.loaded):
-                simulation = scene.plan.simulation
-                need = simulation.need(scenes.pushed)
-                simulation.body.hydrodynamics_in(simulation.flow, need, workshop)
+                hydrodynamics_of(scene.plan.simulation, workshop, pushed=scenes.pushed)
         except QbxStokesError as error:
             models.errors[number] = error
     counters.wait()

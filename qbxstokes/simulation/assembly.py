@@ -21,7 +21,7 @@ from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.event_watch import build_events, watched
 from qbxstokes.simulation.flow_watch import FlowWatch, breaks_of, require_stokesian, stops_of
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
 from qbxstokes.typing import Array, Indices
@@ -240,15 +240,8 @@ def assemble(
     if not checked:
         for part in parts:
             part.check()
-    if maker is None:
-        formed = tuple(
-            part.body.hydrodynamics_in(part.carrier, part.need(pushed), workshop) for part in parts
-        )
-    else:
-        formed = tuple(maker(part, workshop) for part in parts)
-    for part, one in zip(parts, formed, strict=True):
-        if part.recognised is not None:
-            one.facts["recognised"] = part.recognised.told
+    make = partial(hydrodynamics_of, pushed=pushed) if maker is None else maker
+    formed = tuple(make(part, workshop) for part in parts)
     first = parts[0]
     counts = [len(part) for part in parts]
     models: Any = formed[0].model

@@ -17,20 +17,12 @@ from qbxstokes.bie.functional import BodyModel
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.running import Hydrodynamics
 from qbxstokes.errors import SceneError
-from qbxstokes.flows import Flow
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.registry import build_shape
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.equations import Inertia
 from qbxstokes.simulation.arguments import numbers, section
-from qbxstokes.simulation.hydrodynamics import (
-    Former,
-    Hydrodynamic,
-    Need,
-    Workshop,
-    form_body,
-    solver_tolerance,
-)
+from qbxstokes.simulation.hydrodynamics import Workshop, form_body
 from qbxstokes.simulation.simulation import ORIGIN
 from qbxstokes.typing import Array
 
@@ -131,31 +123,6 @@ class FormedBody:
         """Refuse another size than the unit of length, which has a meaning beside others alone."""
         if self.size != 1.0:
             raise SceneError("size", f"is {self.size:g}", "1 outside a Suspension: it is the unit")
-
-    def hydrodynamics_in(
-        self, flow: Flow, need: Need, workshop: Workshop, degree: int | None = None
-    ) -> Hydrodynamic:
-        """The body model and what a scene asks at each step, in a background flow.
-
-        degree: of the flows that the model is for, 1 to 3, if not that of the flow itself.
-        """
-        degree = degree or (3 if flow.degree is None else min(3, max(1, flow.degree)))
-        before, section = workshop.cache.found, self.settings
-        body, solvers = self.formed(degree, need.completion, workshop)
-        facts = {
-            "scheme": section.scheme,
-            "completion": need.completion,
-            "gmres_tolerance": solver_tolerance(section, self.shape),
-            "cache": "found" if workshop.cache.found > before else "formed",
-            "n_phi": body.functional.grid.n_phi,
-            **vars(body.scheme),
-        }
-        if body.model.error_parts is not None:
-            facts["error_parts"] = dict(vars(body.model.error_parts))
-        solvers = list(solvers)
-        former = Former(self.shape, section, flow, need, workshop)
-        provider = former.provider(body, facts, solvers)
-        return Hydrodynamic(body.model, provider, facts, solvers, workshop.cache.problems)
 
     @property
     def hydrodynamics(self) -> AccurateBody:

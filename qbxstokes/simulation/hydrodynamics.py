@@ -1,9 +1,11 @@
 """From a body and a flow to the body model and the provider of free motion."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
 from qbxstokes.errors import FlowError, SceneError
-from qbxstokes.flows import ChangingFlow, Flow
+from qbxstokes.flows import ChangingFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
 from qbxstokes.io.cache import Cache
@@ -27,6 +29,9 @@ from qbxstokes.qbx.operator import (
     rigid_defects,
 )
 from qbxstokes.typing import Array
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.simulation import Simulation
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
 _SOLVE_MARGIN = 1e-2
@@ -43,20 +48,6 @@ class Workshop:
 
     form_rows: RowFormer = layer_rows
     cache: Cache = field(default_factory=lambda: Cache(None))
-
-
-@dataclass(frozen=True)
-class Need:
-    """What a scene asks of the hydrodynamics.
-
-    kind: "table", "grid" or "every_step". completion: of the resistance problem, None where it is
-    left out. position (3,), quaternion (4,): where the flow has to be resolved first.
-    """
-
-    kind: str
-    completion: Completion | None
-    position: Array
-    quaternion: Array
 
 
 @dataclass
@@ -205,94 +196,123 @@ def solver_factory(section: Hydrodynamics, solvers: list[Any]) -> Callable[[Any,
     return factory
 
 
-class Former:
-    """From an accurate body to the provider that a scene needs in its flow."""
+def hydrodynamics_of(
+    scene: Simulation, workshop: Workshop, *, pushed: bool = False, degree: int | None = None
+) -> Hydrodynamic:
+    """The body model of a scene, and what knows the free motion in its flow at each step.
 
-    def __init__(
-        self, shape: Revolution, section: Hydrodynamics, flow: Flow, need: Need, workshop: Workshop
-    ) -> None:
-        self._shape, self._section, self._flow = shape, section, flow
-        self._need, self._workshop = need, workshop
+    pushed: with the resistance in any case. degree: of the flows that the model is for, 1 to 3, if
+    not that of the scene's own.
+    """
+    body, flow, section = scene.body, scene.carrier, scene.body.settings
+    degree = degree or (3 if flow.degree is None else min(3, max(1, flow.degree)))
+    before, completion = workshop.cache.found, scene.completion(pushed)
+    formed, solvers = body.formed(degree, completion, workshop)
+    model = formed.model
+    facts = {
+        "scheme": section.scheme,
+        "completion": completion,
+        "gmres_tolerance": solver_tolerance(section, body.shape),
+        "cache": "found" if workshop.cache.found > before else "formed",
+        "n_phi": formed.functional.grid.n_phi,
+        **vars(formed.scheme),
+    }
+    if model.error_parts is not None:
+        facts["error_parts"] = dict(vars(model.error_parts))
+    found = Hydrodynamic(model, None, facts, list(solvers), workshop.cache.problems)
+    if scene.recognised is not None:
+        facts["recognised"] = scene.recognised.told
+    if scene.kind == "every_step":
+        found.provider = _solved_motion(scene, formed, completion, found, workshop)
+    elif scene.kind == "grid":
+        found.provider = whole = _grid_motion(scene, formed, facts)
+        if section.derivatives:
+            found.provider = PointMotion(model, flow, section.derivatives, whole)
+    else:
+        found.provider = flow if isinstance(flow, ChangingFlow) else flow.polynomial
+    return found
 
-    def provider(self, body: AccurateBody, facts: dict[str, Any], solvers: list[Any]) -> Any:
-        """A polynomial flow, or what knows the free motion in the flow; notes what it did."""
-        if self._need.kind == "every_step":
-            return self._solve_motion(body, facts, solvers)
-        if self._need.kind == "grid":
-            whole, degree = self._grid_motion(body, facts), self._section.derivatives
-            return PointMotion(body.model, self._flow, degree, whole) if degree else whole
-        return self._flow if isinstance(self._flow, ChangingFlow) else self._flow.polynomial
 
-    def _grid_motion(self, body: AccurateBody, facts: dict[str, Any]) -> Any:
-        from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion
+def _grid_motion(scene: Simulation, body: AccurateBody, facts: dict[str, Any]) -> Any:
+    """The free motion by the functional on a grid; notes the nodes that the flow takes."""
+    from qbxstokes.bie.providers import AdaptiveGridMotion, GridMotion, MonitoredGridMotion
 
-        if body.functional.grid.nodes != "cosine" or self._section.n_phi is not None:
-            n_phi = self._section.n_phi or 2 * body.functional.grid.n_theta
-            return GridMotion(body.functional.on_grid(n_phi), self._flow)
-        n_theta, n_phi, error = self._nodes(body)
-        facts |= {"flow_nodes": [n_theta, n_phi], "flow_error": error}
-        share = _FLOW_SHARE * self._section.tolerance
-        if not len(self._flow.singular_points):
-            kind = MonitoredGridMotion
-            if getattr(self._flow, "point_function", None) is not None:
-                from qbxstokes.bie.compiled_motion import CompiledMotion as kind
-            found = kind(body.functional, self._flow, share, (n_theta, n_phi))
-            found.calibrate(self._need.position, self._need.quaternion)
-            return found
-        motion = AdaptiveGridMotion(body.functional, self._flow, share)
-        motion.calibrate(self._need.position, self._need.quaternion, n_theta)
-        return motion
+    flow, section = scene.carrier, scene.body.settings
+    if body.functional.grid.nodes != "cosine" or section.n_phi is not None:
+        n_phi = section.n_phi or 2 * body.functional.grid.n_theta
+        return GridMotion(body.functional.on_grid(n_phi), flow)
+    n_theta, n_phi = _flow_nodes(scene, body, facts)
+    start, share = (scene.position[0], scene.quaternion[0]), _FLOW_SHARE * section.tolerance
+    if not len(flow.singular_points):
+        kind = MonitoredGridMotion
+        if getattr(flow, "point_function", None) is not None:
+            from qbxstokes.bie.compiled_motion import CompiledMotion as kind
+        found = kind(body.functional, flow, share, (n_theta, n_phi))
+        found.calibrate(*start)
+        return found
+    motion = AdaptiveGridMotion(body.functional, flow, share)
+    motion.calibrate(*start, n_theta)
+    return motion
 
-    def _nodes(self, body: AccurateBody) -> tuple[int, int, float]:
-        """Nodes that resolve the flow on the surface at the start, and the error they leave."""
-        turn = rotation.matrix(self._need.quaternion)
 
-        def velocity(points: Any) -> Any:
-            return self._flow.velocity(self._need.position + points @ turn.T, 0.0) @ turn
+def _flow_nodes(scene: Simulation, body: AccurateBody, facts: dict[str, Any]) -> tuple[int, int]:
+    """Nodes that resolve the flow on the surface at the start; notes the error they leave."""
+    turn, centre = rotation.matrix(scene.quaternion[0]), scene.position[0]
 
-        try:
-            return resolving_nodes(body.functional, velocity, _FLOW_SHARE * self._section.tolerance)
-        except FlowError as error:
-            raise SceneError("flow", str(error), "move the body away") from None
+    def velocity(points: Any) -> Any:
+        return scene.carrier.velocity(centre + points @ turn.T, 0.0) @ turn
 
-    def _solve_motion(self, body: AccurateBody, facts: dict[str, Any], solvers: list[Any]) -> Any:
-        from qbxstokes.bie.operators import surface_operators
-        from qbxstokes.bie.providers import SolveMotion
+    share = _FLOW_SHARE * scene.body.tolerance
+    try:
+        n_theta, n_phi, error = resolving_nodes(body.functional, velocity, share)
+    except FlowError as refusal:
+        raise SceneError("flow", str(refusal), "move the body away") from None
+    facts |= {"flow_nodes": [n_theta, n_phi], "flow_error": error}
+    return n_theta, n_phi
 
-        scheme: Scheme = body.scheme
-        degree, n_phi = self._flow.degree, self._section.n_phi
-        if isinstance(scheme, GradedScheme) and degree is None:
-            n_theta, needed, error = self._nodes(body)
-            facts |= {"flow_nodes": [n_theta, needed], "flow_error": error}
-            n_phi = n_phi or needed | 1
-            if explicit_scheme(self._section) is None and n_theta > scheme.n_theta:
-                scheme = choose_scheme(self._section.tolerance, n_theta, scheme.side)
-        # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing. An
-        # odd number has no mode of half its own, which the preconditioner cannot invert.
-        n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
-        facts |= {**vars(scheme), "n_phi": n_phi}
-        completion = self._need.completion
-        spread = completion == "surface"
-        n_modes = n_phi // 2 + 1
-        key = {
-            "shape": self._shape.spec(),
-            "scheme": [self._section.scheme, asdict(scheme)],
-            "n_modes": n_modes,
-            "single": spread,
-        }
-        cache = self._workshop.cache
-        wanted = independent_rows(self._shape, scheme.n_theta)
-        shape = (len(wanted), n_modes, 3, 3, scheme.n_theta)
-        shapes = [shape, shape if spread else (len(wanted), 0, 3, 3, scheme.n_theta)]
-        fault = partial(_fault_of_rows, self._shape, scheme, shapes)
-        arrays = cache.load("operator", key, fault)
-        if arrays is None:
-            rows = self._workshop.form_rows(self._shape, scheme, n_modes, wanted, spread)
-            cache.store("operator", key, {"double": rows[0], "single": rows[1]})
-        else:
-            rows = arrays["double"], arrays["single"]
-        operators = surface_operators(self._shape, scheme, n_phi, completion, rows)
-        return SolveMotion(operators, self._flow, solver_factory(self._section, solvers))
+
+def _solved_motion(
+    scene: Simulation,
+    body: AccurateBody,
+    completion: Completion | None,
+    found: Hydrodynamic,
+    workshop: Workshop,
+) -> Any:
+    """The free motion by a solve at every step."""
+    from qbxstokes.bie.operators import surface_operators
+    from qbxstokes.bie.providers import SolveMotion
+
+    scheme: Scheme = body.scheme
+    flow, own, section = scene.carrier, scene.body.shape, scene.body.settings
+    n_phi, degree = section.n_phi, flow.degree
+    if isinstance(scheme, GradedScheme) and degree is None:
+        n_theta, needed = _flow_nodes(scene, body, found.facts)
+        n_phi = n_phi or needed | 1
+        if explicit_scheme(section) is None and n_theta > scheme.n_theta:
+            scheme = choose_scheme(section.tolerance, n_theta, scheme.side)
+    # A flow of degree d excites modes up to d + 1, which 2 d + 4 nodes keep from aliasing. An
+    # odd number has no mode of half its own, which the preconditioner cannot invert.
+    n_phi = n_phi or (2 * scheme.n_theta if degree is None else 2 * degree + 4) | 1
+    found.facts |= {**vars(scheme), "n_phi": n_phi}
+    spread, n_modes = completion == "surface", n_phi // 2 + 1
+    key = {
+        "shape": own.spec(),
+        "scheme": [section.scheme, asdict(scheme)],
+        "n_modes": n_modes,
+        "single": spread,
+    }
+    wanted = independent_rows(own, scheme.n_theta)
+    shape = (len(wanted), n_modes, 3, 3, scheme.n_theta)
+    shapes = [shape, shape if spread else (len(wanted), 0, 3, 3, scheme.n_theta)]
+    fault = partial(_fault_of_rows, own, scheme, shapes)
+    arrays = workshop.cache.load("operator", key, fault)
+    if arrays is None:
+        rows = workshop.form_rows(own, scheme, n_modes, wanted, spread)
+        workshop.cache.store("operator", key, {"double": rows[0], "single": rows[1]})
+    else:
+        rows = arrays["double"], arrays["single"]
+    operators = surface_operators(own, scheme, n_phi, completion, rows)
+    return SolveMotion(operators, flow, solver_factory(section, found.solvers))
 
 
 def side_of(section: Hydrodynamics) -> Any:

@@ -12,7 +12,7 @@ from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.closed_forms import true_error
 from qbxstokes.simulation.compare import Comparison
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.typing import Array
 
@@ -23,8 +23,7 @@ _IN_FLOW = ("free_velocity", "free_angular_velocity", "held_force", "held_torque
 
 def form_law(scene: Simulation, in_flow: bool, workshop: Workshop) -> Hydrodynamic:
     """Form the body of a scene with its resistance: for its flow, or for flows of degree <= 3."""
-    need = scene.need(pushed=True)
-    return scene.body.hydrodynamics_in(scene.flow, need, workshop, None if in_flow else 3)
+    return hydrodynamics_of(scene, workshop, pushed=True, degree=None if in_flow else 3)
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,8 @@ class Law:
     def errors(self, arrays: dict[str, Array]) -> Comparison:
         """Errors of the motion against the laws of Lamb, Jeffery and Faxen."""
         flow, shape = self.scene.flow, self.scene.body.shape
-        degree = 3 if not self.in_flow or flow.degree is None else min(3, max(1, flow.degree))
+        degree = self.scene.carrier.degree if self.in_flow else None
+        degree = 3 if degree is None else min(3, max(1, degree))
         found = Comparison()
         if not isinstance(shape, Spheroid):
             found.note = f"no closed forms for a {shape}"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qbxstokes.bie.resistance import Completion
 from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.document import written
 from qbxstokes.case.running import Events as EventSettings
@@ -32,7 +33,7 @@ from qbxstokes.simulation.arguments import (
     turned,
 )
 from qbxstokes.simulation.assembly import Assembled, assemble
-from qbxstokes.simulation.hydrodynamics import Need, Workshop
+from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import Motion
 from qbxstokes.typing import Array, Indices
 
@@ -218,12 +219,14 @@ class Simulation:
         """The flow that moves the body: the polynomial that a function was found to be."""
         return self.flow if self.recognised is None else self.recognised.flow
 
-    def need(self, pushed: bool = False) -> Need:
-        """What is asked of the hydrodynamics; pushed: with the resistance in any case."""
-        completion = self.body.settings.completion
-        if completion is None and (pushed or self.pushed or self.brownian):
-            completion = "surface"
-        return Need(self.kind, completion, self.position[0], self.quaternion[0])
+    def completion(self, pushed: bool = False) -> Completion | None:
+        """That of the resistance problem; None where the resistance is not needed.
+
+        pushed: with the resistance in any case.
+        """
+        asked = self.body.settings.completion
+        needed = pushed or self.pushed or self.brownian is not None
+        return "surface" if asked is None and needed else asked
 
     def check(self) -> None:
         """Refuse a flow that is not Stokesian near the body, singular in it, or that ends there."""
