@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from qbxstokes.runs.from_python import sweep as sweep
     from qbxstokes.simulation.body import Body as Body
     from qbxstokes.simulation.body import flow as flow
-    from qbxstokes.simulation.dimensionless import response_time as response_time
-    from qbxstokes.simulation.dimensionless import stokes_number as stokes_number
+    from qbxstokes.simulation.body import response_time as response_time
+    from qbxstokes.simulation.body import stokes_number as stokes_number
     from qbxstokes.simulation.ensemble import ensemble as ensemble
     from qbxstokes.simulation.from_bodies import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
-    from qbxstokes.simulation.repulsion import Repulsion as Repulsion
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
     from qbxstokes.simulation.simulation import Simulation as Simulation
+    from qbxstokes.simulation.surroundings import Repulsion as Repulsion
+    from qbxstokes.simulation.surroundings import Wall as Wall
     from qbxstokes.simulation.suspension import Suspension as Suspension
-    from qbxstokes.simulation.wall import Wall as Wall
     from qbxstokes.simulation.wall_table import OverWall as OverWall
 
 __version__ = "0.1.0"
@@ -59,9 +59,9 @@ _PUBLIC = {
     "OverWall": "qbxstokes.simulation.wall_table",
     "QbxStokesError": "qbxstokes.errors",
     "Suspension": "qbxstokes.simulation.suspension",
-    "Repulsion": "qbxstokes.simulation.repulsion",
+    "Repulsion": "qbxstokes.simulation.surroundings",
     "Series": "qbxstokes.flows",
-    "Wall": "qbxstokes.simulation.wall",
+    "Wall": "qbxstokes.simulation.surroundings",
     "build_flow": "qbxstokes.flows",
     "ensemble": "qbxstokes.simulation.ensemble",
     "flow": "qbxstokes.simulation.body",
@@ -69,10 +69,10 @@ _PUBLIC = {
     "langevin": "qbxstokes.simulation.langevin",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",
-    "response_time": "qbxstokes.simulation.dimensionless",
+    "response_time": "qbxstokes.simulation.body",
     "rheology": "qbxstokes.simulation.rheology",
     "run": "qbxstokes.runs.from_python",
-    "stokes_number": "qbxstokes.simulation.dimensionless",
+    "stokes_number": "qbxstokes.simulation.body",
     "sweep": "qbxstokes.runs.from_python",
 }
 __all__ = ["__version__", *_PUBLIC]

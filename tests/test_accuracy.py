@@ -32,7 +32,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import UniformScheme
 from qbxstokes.reference import faxen
-from qbxstokes.simulation.closed_forms import true_error
+from qbxstokes.simulation.hydrodynamics import true_error
 
 RATIOS = [1 / 50, 0.2, 1.0, 3.0, 50.0]
 

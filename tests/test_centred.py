@@ -21,7 +21,7 @@ from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.system import RK_FORMULAS
 from qbxstokes.petsc.trajectory import Chunk
 from qbxstokes.runs.sweep_blocks import Scenes
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

@@ -15,7 +15,7 @@ from qbxstokes.motion.equations import Inertia, RigidBodyEquations
 from qbxstokes.reference import lamb
 from qbxstokes.reference.inertial import inertia as moments_of_inertia
 from qbxstokes.reference.inertial import volume
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = Any
 heavy = script("studies/heavy")

@@ -22,7 +22,7 @@ from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.motion.layout import Layout
 from qbxstokes.petsc.native import NativeRate
 from qbxstokes.petsc.stepper import integrate
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = np.ndarray
 RNG = np.random.default_rng(6)

@@ -18,7 +18,7 @@ from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.plots import style
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.plan import plan_body
-from qbxstokes.simulation.closed_forms import true_error
+from qbxstokes.simulation.hydrodynamics import true_error
 
 WriteCase = Callable[..., Path]
 

@@ -13,7 +13,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion import diagnostics
 from qbxstokes.motion.equations import Constraints, Loads, RigidBodyEquations
 from qbxstokes.reference import chwang, faxen, jeffery, lamb
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = np.ndarray
 RNG = np.random.default_rng(2)

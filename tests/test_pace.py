@@ -17,7 +17,7 @@ from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Chunk
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = np.ndarray
 # Scenes of the slow test; each takes about 0.1 s.

@@ -27,7 +27,7 @@ from qbxstokes.petsc.native import NativeRate
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, inertial, jeffery
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 Array = np.ndarray
 SHEAR = PolynomialFlow(None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

@@ -24,7 +24,7 @@ from qbxstokes.motion import fore_aft, tracing
 from qbxstokes.motion.equations import Loads, RigidBodyEquations
 from qbxstokes.motion.taylor import pack_flow, unpack_flow
 from qbxstokes.motion.tracing import specialise
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 RNG = np.random.default_rng(4)
 OPERATORS = (operator.add, operator.sub, operator.mul)

@@ -24,7 +24,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 K = 0.5
 SHAPE = (1.0 - K * K) / (1.0 + K * K)

@@ -17,7 +17,7 @@ import qbxstokes as qs
 from qbxstokes.bie.accuracy import plain_body
 from qbxstokes.plots import style
 from qbxstokes.qbx.operator import UniformScheme
-from qbxstokes.simulation.closed_forms import true_error
+from qbxstokes.simulation.hydrodynamics import true_error
 
 
 class Table:

@@ -29,8 +29,7 @@ from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.closed_forms import exact_model
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, exact_model
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import Array

@@ -27,7 +27,6 @@ from qbxstokes.simulation.event_watch import events_summary
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
-from qbxstokes.simulation.sampling import left_by_samples
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -187,7 +186,7 @@ def _of_one(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
         }
         if summary["complete"] and len(times):
             with clock.part("sampling"):
-                summary["sampling"] = left_by_samples(assembled, float(times[-1]))
+                summary["sampling"] = assembled.sampling(float(times[-1]))
 
     return _followed(job, recording, team, assembled, events, facts, conclude)
 

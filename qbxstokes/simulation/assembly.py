@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qbxstokes.errors import ConvergenceError, SceneError
+from qbxstokes.flows import ChangingFlow
+from qbxstokes.flows.interpolation import INTERPOLATIONS
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import turn_averages
 from qbxstokes.motion.diagnostics import orbit_constant
@@ -204,6 +207,38 @@ class Assembled:
             parts = {"integration": self.tolerance, "law": law, "rounding": rounding}
             found.append({"total": sum(parts.values()), **parts})
         return found
+
+    def sampling(self, end: float) -> dict[str, float]:
+        """Error at the end that the samples of a series leave of axis and position of one lane.
+
+        For smooth gradients: that of every other sample is 2^order times as large; where their
+        number is even, up to the last but one of them. Empty where the flow is no series, or one of
+        too few samples.
+        """
+        scene, flow = self.parts[0], self.parts[0].flow
+        if len(self.initial) != 1 or not isinstance(flow, ChangingFlow):
+            return {}
+        series = flow.signal.series
+        if series is None:
+            return {}
+        order = INTERPOLATIONS[series.interpolation]
+        if len(series.times) < 2 * max(2, order) - 1:
+            return {}
+        thinned = series.thinned()
+        other = copy(scene)
+        other.flow = flow.of_series(thinned)
+        again = self.again([other])
+        last = end if series.outside != "error" else min(end, float(thinned.times[-1]))
+        fine, rough = (each.trajectory(np.array([last])) for each in (self, again))
+        share = 1.0 / max(1.0, 2.0**order - 1.0)
+        found = [
+            each.observe(run.times, run.states, ("axis", "position"))
+            for each, run in ((self, fine), (again, rough))
+        ]
+        return {
+            name: share * float(np.linalg.norm(found[0][name][-1, 0] - found[1][name][-1, 0]))
+            for name in ("axis", "position")
+        }
 
     def motion(self, times: ArrayLike) -> Motion:
         """The motion sampled at times (T,)."""

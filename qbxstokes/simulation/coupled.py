@@ -17,13 +17,13 @@ from qbxstokes.geometry import rotation
 from qbxstokes.motion.loads import LoadRows, Loads
 from qbxstokes.simulation.arguments import accepted, section
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
+from qbxstokes.simulation.surroundings import Wall
 from qbxstokes.simulation.suspension import Suspension
-from qbxstokes.simulation.wall import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.coupled_assembly import CoupledMotion, Together
-    from qbxstokes.simulation.repulsion import Repulsion
+    from qbxstokes.simulation.surroundings import Repulsion
     from qbxstokes.simulation.wall_table import OverWall
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class CoupledSimulation(Simulation):
         if self._rows is not None:
             force, torque = self._rows.in_space(t, q)
         if self.repulsion is not None:
-            push, turn = self.repulsion.loads(self.suspension.placed(x, q), self.suspension.plane)
+            push, turn = self.repulsion.loads(self.suspension.placed(x, q), self.suspension.wall)
             force, torque = force + push, torque + turn
         return {"force": force, "torque": torque}
 
@@ -132,7 +132,7 @@ class CoupledSimulation(Simulation):
         with the estimated errors found, or "resistance": that, roughly, in place of a solution.
         """
         if self.herald is not None:
-            gaps = gaps_of(self.suspension.placed(x, q), self.suspension.plane)
+            gaps = gaps_of(self.suspension.placed(x, q), self.suspension.wall)
             self.herald((gaps, (kind, t, x, q, nodes), motion))
         suspension, flow = self.suspension, self.flow
         if kind == "resistance":
@@ -148,7 +148,7 @@ class CoupledSimulation(Simulation):
 
     def join(self, gaps: Any, problem: tuple[Any, ...], motion: Mapping[str, Any]) -> None:
         """Solve with the other ranks what their herald told: with the gaps that they know."""
-        gaps_of(self.suspension.placed(*problem[2:4]), self.suspension.plane, gaps)
+        gaps_of(self.suspension.placed(*problem[2:4]), self.suspension.wall, gaps)
         self.solved(*problem, **motion)
 
     def part(self) -> None:
@@ -206,5 +206,5 @@ class CoupledSimulation(Simulation):
 
     def closest(self, places: Sequence[Placed]) -> tuple[float, str]:
         """The least gap of the scene, and whose it is; infinite where there is one body alone."""
-        gap, pair, _ = closest(places, self.suspension.plane)
+        gap, pair, _ = closest(places, self.suspension.wall)
         return gap, names_of(*pair)

@@ -102,7 +102,7 @@ class Together:
         scene = self.scene
         suspension = scene.suspension
         places = suspension.placed(states[:, POSITION], states[:, ORIENTATION])
-        gap, (b, c), rates = closest(places, suspension.plane)
+        gap, (b, c), rates = closest(places, suspension.wall)
         pair, who = (b + 1, c + 1), names_of(b, c)
         bound = scene.events.clearance
         reason = f"{who}: the gap fell to {bound or 0.0:.3g}"

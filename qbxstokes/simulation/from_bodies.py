@@ -19,9 +19,8 @@ from qbxstokes.simulation.from_case import (
     simulation_of,
     start_quaternion,
 )
-from qbxstokes.simulation.repulsion import Repulsion
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.wall import Wall
+from qbxstokes.simulation.surroundings import Repulsion, Wall
 from qbxstokes.typing import Array
 
 

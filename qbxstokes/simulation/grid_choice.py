@@ -83,10 +83,10 @@ def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[i
     wanted: those of the law. More than a motion takes, and only on bodies that are near another;
     raises ContactError where they do not suffice.
     """
-    _, who, rates = closest(places, scene.plane)
+    _, who, rates = closest(places, scene.wall)
     if _nodes_for(float(rates.min()), scene.tolerance, _BEST) > _LAST:
-        raise _too_near(places, scene.plane, scene.tolerance, max(wanted))
-    found = gaps_of(places, scene.plane)
+        raise _too_near(places, scene.wall, scene.tolerance, max(wanted))
+    found = gaps_of(places, scene.wall)
     direction = found.direction[np.argmin(found.gap)]
     motion = np.zeros((len(places), 6))
     motion[who[0], :3] = direction
@@ -104,7 +104,7 @@ def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[i
         # Errors fall by exp(-2 rate) a node.
         more = math.ceil(math.log(error / scene.tolerance) / (2.0 * float(rates.min())))
         most += max(4, more + more % 2)
-    raise _too_near(places, scene.plane, scene.tolerance, most)
+    raise _too_near(places, scene.wall, scene.tolerance, most)
 
 
 def flow_nodes_on(

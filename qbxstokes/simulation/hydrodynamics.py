@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -9,8 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.bie.accuracy import AccurateBody, RowFormer, accurate_body, choose_scheme
-from qbxstokes.bie.functional import BodyModel
+from qbxstokes.bie.accuracy import (
+    AccurateBody,
+    RowFormer,
+    accurate_body,
+    choose_scheme,
+    model_distance,
+)
+from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import resolving_nodes
 from qbxstokes.case.running import GRADED_KEYS, Hydrodynamics
@@ -18,6 +25,7 @@ from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import ChangingFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Revolution, Shape
+from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import Cache
 from qbxstokes.motion.point import PointMotion
 from qbxstokes.qbx.operator import (
@@ -28,6 +36,7 @@ from qbxstokes.qbx.operator import (
     layer_rows,
     rigid_defects,
 )
+from qbxstokes.reference import faxen
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -141,8 +150,6 @@ def _fault_of_body(shape: Shape, degree: int, arrays: Mapping[str, Any]) -> str:
     Its numbers are those of the closed forms, where its shape has them, within many times the error
     that it states.
     """
-    from qbxstokes.simulation.closed_forms import true_error
-
     try:
         body = AccurateBody.from_arrays(arrays)
         grid = body.functional.on_grid(4)
@@ -156,6 +163,32 @@ def _fault_of_body(shape: Shape, degree: int, arrays: Mapping[str, Any]) -> str:
         return f"does not hold a body ({' '.join(str(error).split())})"
     bound = max(30.0 * body.model.error_estimate, 1e-8)
     return "" if missed <= bound and wrong <= bound else "does not hold the numbers of this body"
+
+
+def exact_model(shape: Shape) -> BodyModel | None:
+    """The body model by the closed forms of Lamb, Jeffery and Faxen (Kim & Karrila 1991, ch. 3).
+
+    None for a shape without closed forms.
+    """
+    if not isinstance(shape, Spheroid):
+        return None
+    linear, quadratic, cubic = faxen.body_coefficients(shape.aspect_ratio)
+    return BodyModel(
+        shape,
+        Resistance(*faxen.resistance(shape.aspect_ratio)),
+        FaxenCoefficients(linear, quadratic, cubic),
+        None,
+        0.0,
+    )
+
+
+def true_error(model: BodyModel, degree: int = 3) -> float:
+    """Largest relative error of a body model, in force, torque or motion in flows of a degree.
+
+    NaN where there are no closed forms.
+    """
+    exact = exact_model(model.shape)
+    return math.nan if exact is None else model_distance(model, exact, degree)
 
 
 def _rigid_motions(points: Array) -> Array:

@@ -10,9 +10,8 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.closed_forms import true_error
 from qbxstokes.simulation.compare import Comparison
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of, true_error
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.typing import Array
 

@@ -120,9 +120,7 @@ class Motion:
 
         By motions on all samples and on every other one, when first asked.
         """
-        from qbxstokes.simulation.sampling import left_by_samples
-
-        return left_by_samples(self._assembled, float(self.time[-1]))
+        return self._assembled.sampling(float(self.time[-1]))
 
     @cached_property
     def stresslet(self) -> Array:

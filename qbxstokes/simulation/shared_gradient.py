@@ -1,16 +1,20 @@
-"""One velocity gradient A(t) for all paths of an ensemble, as polynomials between its instants."""
+"""One velocity gradient A(t), for all paths of an ensemble or for axes alone, in pieces of time."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from qbxstokes.errors import SceneError
+from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import ChangingFlow, Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.simulation import arguments as given
 from qbxstokes.typing import Array, Integers
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.body import Body
 
 # Pieces of a run at least; instants at most at which the flow is held against the pieces.
 _PIECES, _CHECKED = 50, 1000
@@ -129,3 +133,32 @@ def gradients_of(flow: Any, times: Any, paths: Any, axes: Array | None, accuracy
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise SceneError("paths", f"are {count!r}", "a whole number, at least 1")
     return SharedGradient(flow, given.instants(times), int(count), accuracy)
+
+
+def axes_in(
+    body: Body, flow: Flow | GradientSeries, times: ArrayLike, axes: ArrayLike, tolerance: float
+) -> Array:
+    """Axes alone of massless bodies in one linear flow, steady or not: see `Body.axes`."""
+    from qbxstokes.motion.linear_axes import follow
+
+    instants = given.instants(times)
+    tolerance = given.accepted(tolerance)
+    start = given.numbers("orientation", axes, "axes (..., 3), not zero")
+    if start.shape[-1:] != (3,) or not np.all(np.linalg.norm(start, axis=-1) > 0.0):
+        raise SceneError("orientation", f"has shape {start.shape}", "axes (..., 3), not zero")
+    if np.any(body.stokes_number):
+        raise SceneError("body.stokes_number", "is not 0", "0, or integrate")
+    flow = linear_flow(flow)
+    law = body.formed(1, None)[0].model
+    worst = max(law.effective_ratio, 1.0 / law.effective_ratio)
+    end = float(instants[-1])
+    p = start.reshape(-1, 3).T / np.linalg.norm(start.reshape(-1, 3).T, axis=0)
+    found = np.empty((len(instants), *p.shape))
+    found[:] = p
+    if end > 0.0:
+        numbers = law.faxen.linear, law.faxen.rest
+        pieces = pieces_of(flow, end, tolerance / worst)
+        reached = follow(pieces, numbers, instants, tolerance / (worst * end), found)
+        if reached < end:
+            raise FlowError(f"the gradient turns too fast near t = {reached:.6g}", ("gradient",))
+    return np.moveaxis(found, (0, 1), (1, 2)).reshape(*start.shape[:-1], len(instants), 3)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.arrivals import Workspace
-from qbxstokes.bie.multiple_scattering import Coupled, Placed, Plane
+from qbxstokes.bie.multiple_scattering import Coupled, Placed
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
@@ -24,7 +24,7 @@ from qbxstokes.simulation.grid_choice import (
 )
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.solved_instant import Solution
-from qbxstokes.simulation.wall import Wall
+from qbxstokes.simulation.surroundings import Wall
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
@@ -77,11 +77,6 @@ class Suspension:
         """Number of bodies."""
         return len(self.bodies)
 
-    @property
-    def plane(self) -> Plane | None:
-        """The wall as the coupling sees it."""
-        return None if self.wall is None else self.wall.plane
-
     def placed(self, position: ArrayLike, orientation: ArrayLike | None = None) -> list[Placed]:
         """The bodies at centres (N, 3) with axes (N, 3) or quaternions (N, 4); None: upright."""
         n = len(self)
@@ -116,7 +111,7 @@ class Suspension:
         tried then, and their estimated error decides. free: for bodies under given loads. Raises
         ContactError, SceneError for a flow that is none around them.
         """
-        chosen = choose_nodes(places, self.plane, self.tolerance, free)
+        chosen = choose_nodes(places, self.wall, self.tolerance, free)
         if clipped:
             chosen = [min(n, MOST_NODES) for n in chosen]
         elif max(chosen) > MOST_NODES:
@@ -144,7 +139,7 @@ class Suspension:
         looser: factor on the errors of sums and solver.
         """
         chosen, tolerance = list(nodes or self.grids(places)), looser * _SUMS * self.tolerance
-        problem = Coupled(places, self.plane, chosen, tolerance, workspace=self._workspace)
+        problem = Coupled(places, self.wall, chosen, tolerance, workspace=self._workspace)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
 

@@ -23,8 +23,8 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.io.cache import Cache
 from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.simulation.body import Body
+from qbxstokes.simulation.surroundings import Wall
 from qbxstokes.simulation.suspension import Suspension
-from qbxstokes.simulation.wall import Wall
 from qbxstokes.typing import Array
 
 # Even and odd under reflection in the plane of axis and normal: velocities and loads alike.
@@ -64,8 +64,7 @@ class OverWall:
         # there are in gap and tilt, and their numbers of polynomials; 0: not made.
         self._pieces = np.zeros((0, 42, 1))
         self._where = np.zeros((LAST - FIRST, 5))
-        plane = wall.plane
-        self._plane = np.stack([plane.normal, plane.point, plane.velocity])
+        self._plane = np.stack([wall.normal, wall.point, wall.velocity])
         self.error_estimate = 0.0
 
     # -- answers ------------------------------------------------------------------------------

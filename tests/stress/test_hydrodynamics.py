@@ -24,7 +24,7 @@ from qbxstokes.bie.operators import surface_operators
 from qbxstokes.errors import ConvergenceError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.qbx.operator import GradedScheme, Scheme, UniformScheme
-from qbxstokes.simulation.closed_forms import true_error
+from qbxstokes.simulation.hydrodynamics import true_error
 
 ASPECT_RATIOS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 0.9, 1.0, 1.1, 2.0, 5.0,
                  10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # fmt: skip

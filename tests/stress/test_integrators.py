@@ -21,7 +21,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.reference import inertial, jeffery
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 # Aspect ratio and Stokes number.
 ORBITS = {"massless": (0.5, 0.0), "inertial": (0.5, 1.0), "thin": (0.05, 0.0)}

@@ -33,7 +33,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.petsc import session
 from qbxstokes.reference import faxen, jeffery
-from qbxstokes.simulation.closed_forms import exact_model
+from qbxstokes.simulation.hydrodynamics import exact_model
 
 extents = pytest.mark.parametrize("extent", ["small", pytest.param("full", marks=pytest.mark.slow)])
 

@@ -1,16 +1,23 @@
-"""What bounds the fluid: a plane wall, to which the flow has to stick."""
+"""What is beside the bodies of a fluid: a plane wall, and a repulsion that keeps them apart."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.bie.multiple_scattering import Plane
+from qbxstokes.bie.multiple_scattering import Placed, Plane, gaps_of
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
+from qbxstokes.geometry.gaps import contact_point
+from qbxstokes.typing import Array
+
+_LEFT_OUT = 40.0  # ranges beyond which nothing is left of a repulsion but rounding
 
 
-class Wall:
+class Wall(Plane):
     """A plane wall: normal (3,) into the fluid, a point of it, and its own velocity, in its plane.
 
     >>> import qbxstokes as qs
@@ -34,18 +41,12 @@ class Wall:
         length = float(np.linalg.norm(found["normal"]))
         if length == 0.0:
             raise SceneError("surroundings.normal", "has no direction", "a vector into the fluid")
-        self.normal, self.point = found["normal"] / length, found["point"]
-        self.velocity = found["velocity"]
+        super().__init__(found["normal"] / length, found["point"], found["velocity"])
         through = float(self.velocity @ self.normal)
         if abs(through) > 1e-12 * float(np.abs(self.velocity).max()):
             raise SceneError(
                 "surroundings.velocity", "goes through the wall", "a velocity in its plane"
             )
-
-    @property
-    def plane(self) -> Plane:
-        """The wall as the coupling sees it."""
-        return Plane(self.normal, self.point, self.velocity)
 
     def check(self, flow: Flow, t: float = 0.0) -> None:
         """Refuse a flow that has not the wall's velocity on the wall."""
@@ -63,3 +64,38 @@ class Wall:
                 f"by {slip[worst]:.3g} from the wall's",
                 "a flow with the wall's velocity on the wall, such as shear above the plane x2 = 0",
             )
+
+
+@dataclass(frozen=True)
+class Repulsion:
+    """Forces strength exp(-gap/range) along the least distance, at its two ends.
+
+    strength: in mu c^2/tau; range: in units of the scene. No part of the hydrodynamics: what it
+    does to a motion is of its making. Raises SceneError for other than positive numbers.
+    """
+
+    strength: float
+    range: float
+
+    def __post_init__(self) -> None:
+        for name in ("strength", "range"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise SceneError(f"repulsion.{name}", f"is {value!r}", "more than 0")
+
+    def loads(self, bodies: Sequence[Placed], wall: Plane | None) -> tuple[Array, Array]:
+        """Force and torque (N, 3) on the bodies, space frame, torque about each centre."""
+        force, torque = np.zeros((len(bodies), 3)), np.zeros((len(bodies), 3))
+        found = gaps_of(bodies, wall)
+        for row in np.flatnonzero(found.gap <= _LEFT_OUT * self.range):
+            # From the first body, b, to the other one.
+            (b, c), direction = found.pairs[row], found.direction[row]
+            size = self.strength * float(np.exp(-max(found.gap[row], 0.0) / self.range))
+            for body, push in ((b, -size), (c, size)):
+                if body < 0:
+                    continue
+                place, away = bodies[body], np.copysign(1.0, -push) * direction
+                arm = contact_point(away, place.axis, place.ratio, place.size)
+                force[body] += push * direction
+                torque[body] += push * np.cross(arm, direction)
+        return force, torque
