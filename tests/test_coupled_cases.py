@@ -200,10 +200,10 @@ def test_a_repulsion_is_the_slope_of_its_potential_and_holds_bodies_apart() -> N
     q = rotation.from_axis(np.array([[0.6, 0.0, 0.8], [0.2, 0.3, 1.0]]))
 
     def energy(x: np.ndarray, q: np.ndarray) -> float:
-        gaps = gaps_of(scene.placed(x, q), scene.plane).gap
+        gaps = gaps_of(scene.placed(x, q), scene.wall).gap
         return float(0.6 * np.exp(-gaps / 0.3).sum())
 
-    force, torque = push.loads(scene.placed(x, q), scene.plane)
+    force, torque = push.loads(scene.placed(x, q), scene.wall)
     step = 1e-5
     for body, part in np.ndindex(2, 3):
         moved, spin = np.zeros((2, 3)), np.zeros((2, 4))

@@ -34,7 +34,7 @@ def random_scene(seed: int) -> tuple[qs.Suspension, np.ndarray, np.ndarray]:
     wanted, low, high = 10.0 ** rng.uniform(-1.0, 0.0), 0.0, 60.0
     for _ in range(60):  # blown up about the origin until the least gap is the wanted one
         middle = 0.5 * (low + high)
-        near = closest(scene.placed(middle * x, q), scene.plane)[0] < wanted
+        near = closest(scene.placed(middle * x, q), scene.wall)[0] < wanted
         low, high = (middle, high) if near else (low, middle)
     return scene, high * x, q
 
