@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.body import response_time as response_time
     from qbxstokes.simulation.body import stokes_number as stokes_number
     from qbxstokes.simulation.ensemble import ensemble as ensemble
-    from qbxstokes.simulation.from_bodies import from_case as from_case
+    from qbxstokes.simulation.from_case import from_case as from_case
     from qbxstokes.simulation.langevin import langevin as langevin
     from qbxstokes.simulation.result import Motion as Motion
     from qbxstokes.simulation.rheology import rheology as rheology
@@ -65,7 +65,7 @@ _PUBLIC = {
     "build_flow": "qbxstokes.flows",
     "ensemble": "qbxstokes.simulation.ensemble",
     "flow": "qbxstokes.simulation.body",
-    "from_case": "qbxstokes.simulation.from_bodies",
+    "from_case": "qbxstokes.simulation.from_case",
     "langevin": "qbxstokes.simulation.langevin",
     "load": "qbxstokes.io.results",
     "load_case": "qbxstokes.case.load",

@@ -237,7 +237,7 @@ def test_plain_and_compiled_find_the_same_numbers(stokes: float) -> None:
         scene = qs.Simulation(body, flow, orientation=AXIS, position=[0.1, 0, 0.2], tolerance=1e-7)
         scene = scene.assemble()
         scene.equations.evaluation = evaluation
-        found.append(scene.motion([1.0, 2.5]))
+        found.append(scene.integrate([1.0, 2.5]))
     assert np.array_equal(found[0].axis, found[1].axis)
     assert np.array_equal(found[0].position, found[1].position)
 
@@ -256,7 +256,7 @@ def test_lanes_with_flows_of_their_own_find_the_same_numbers() -> None:
         found = []
         for evaluation in ("plain", "compiled"):
             together = assemble(scenes, evaluation=evaluation)
-            found.append(together.motion([1.0, 3.0]).axis)
+            found.append(together.integrate([1.0, 3.0]).axis)
         assert np.array_equal(found[0], found[1])
         alone = [scene.integrate([1.0, 3.0]).axis for scene in scenes]
         assert np.abs(found[0] - np.array(alone)).max() < 1e-6
@@ -473,7 +473,7 @@ def test_steps_of_several_bodies_end_at_samples() -> None:
     flow, body = qs.flow("linear", gradient=series), qs.Body(0.5)
     alone = body.integrate(flow, [1.0], orientation=AXIS, tolerance=1e-9)
     places = {"position": [[0, 0, 0], [0, 300, 0]], "orientation": [AXIS, [0, 0, 1]]}
-    two = qs.Simulation([body, body], flow, **places, tolerance=1e-5).assemble().motion([1.0])
+    two = qs.Simulation([body, body], flow, **places, tolerance=1e-5).assemble().integrate([1.0])
     assert np.abs(two.axis[-1, 0] - alone.axis[-1]).max() < 1e-7
     assert two.summary["steps"] < 30
 

@@ -82,7 +82,7 @@ def main(small=False):
         for count, start in ((1, AXIS), (lanes, axes)):
             moved, keys = qs.flow("user", **flow, **known), {"tolerance": TOLERANCE}
             scene = qs.Simulation(qs.Body(0.2, **body), moved, orientation=start, **keys).assemble()
-            scene.motion([END])
+            scene.integrate([END])
             spent, motion = timed(partial(scene.motion, [END]), repeats, time.thread_time)
             calls = motion.summary["rhs_evaluations"]
             row[f"{'one' if count == 1 else 'each of many'}_us"] = 1e6 * spent / calls / count

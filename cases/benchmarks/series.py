@@ -113,8 +113,8 @@ def followed(amplitude, count, repeats):
         scene = qs.Simulation(body, flow, orientation=orientation, tolerance=TOLERANCE).assemble()
         # One body alone, too: as in any process that has followed some bodies.
         scene.equations.evaluation = "compiled"
-        scene.motion([END])  # compiles
-        spent, motion = timed(lambda: scene.motion([END]), repeats, time.thread_time)
+        scene.integrate([END])  # compiles
+        spent, motion = timed(lambda: scene.integrate([END]), repeats, time.thread_time)
         return spent, motion.axis
 
     def turned(flow, start, calls):
@@ -161,8 +161,8 @@ def followed(amplitude, count, repeats):
     flows = [qs.flow("linear", gradient=qs.GradientSeries(times, one)) for one in samples]
     keys = {"orientation": AXIS, "tolerance": TOLERANCE}
     together = assemble([qs.Simulation(body, flow, **keys) for flow in flows])
-    together.motion([END])
-    spent, motion = timed(lambda: together.motion([END]), 3, time.thread_time)
+    together.integrate([END])
+    spent, motion = timed(lambda: together.integrate([END]), 3, time.thread_time)
     exact = follow(AXIS.copy(), amplitudes[0], FREQUENCY, END, 1e-13)
     return [*rows, row("64 bodies, 64 series", spent, motion.axis[0, -1], exact, None)]
 

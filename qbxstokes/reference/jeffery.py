@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.reference.integrals import alpha0, gamma0
+from qbxstokes.reference.lamb import alpha0, gamma0
 from qbxstokes.typing import Array
 
 

@@ -18,7 +18,7 @@ from qbxstokes.runs.gathering import Keeper
 from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.from_case import simulation_of, starts_of
+from qbxstokes.simulation.from_case import simulation_of
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
@@ -63,9 +63,7 @@ def empty_result(
 
 def lanes_of(scenes: Scenes, number: int, index: Indices, body: Body | None = None) -> Simulation:
     """Some trajectories of a scene as the lanes of a simulation; body: formed before."""
-    loaded = scenes.scene(number).loaded
-    starts = starts_of(loaded.case, scenes.space.values(index), len(index))
-    return simulation_of(loaded, body, replace(starts, numbers=index))
+    return simulation_of(scenes.scene(number).loaded, body, scenes.space.values(index), index)
 
 
 # Some lanes of a simulation, by their numbers, and the rows of the block's result they fill.

@@ -72,7 +72,7 @@ def _of_several(job: Job) -> dict[str, Any]:
     The bodies are dealt to the ranks (`petsc.coupled`), which all go through the same solves.
     """
     from qbxstokes.petsc.coupled import over
-    from qbxstokes.simulation.from_bodies import coupled_of
+    from qbxstokes.simulation.from_case import coupled_of
 
     loaded, comm = job.loaded, job.comm
     failure: QbxStokesError | None = None

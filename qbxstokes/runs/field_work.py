@@ -115,7 +115,7 @@ class FieldWork:
         self.solution: Any
         if loaded.case.coupled:
             from qbxstokes.simulation.flow_among import AmongBodies
-            from qbxstokes.simulation.from_bodies import coupled_of
+            from qbxstokes.simulation.from_case import coupled_of
 
             held = section.body == "held"
             self.solution = AmongBodies(coupled_of(loaded), section.tolerance, held)

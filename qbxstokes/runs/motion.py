@@ -23,10 +23,10 @@ from qbxstokes.runs.progress import Advance
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.shared_rows import RowTeam, ordered, with_team
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
-from qbxstokes.simulation.event_watch import events_summary
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import integration_facts
+from qbxstokes.simulation.watching import events_summary
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -236,7 +236,7 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
 def _help_with_bodies(job: Job) -> None:
     """What the other ranks do for the motion of several bodies."""
     from qbxstokes.petsc.coupled import PAUSE, over
-    from qbxstokes.simulation.from_bodies import coupled_of
+    from qbxstokes.simulation.from_case import coupled_of
 
     scene = coupled_of(job.loaded) if job.plan is None else job.plan.simulation
     scene.suspension.comm = over(job.comm)

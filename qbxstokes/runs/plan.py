@@ -177,7 +177,7 @@ def plan_body(loaded: LoadedCase) -> Plan:
 
 def plan_coupled(loaded: LoadedCase) -> Plan:
     """Plan with several bodies or a wall; raises CaseError for what the schema cannot see."""
-    from qbxstokes.simulation.from_bodies import coupled_of
+    from qbxstokes.simulation.from_case import coupled_of
 
     case = loaded.case
     with pointed(loaded):

@@ -20,7 +20,7 @@ from qbxstokes.quantities import MOTION, STRESS, TIME, of_event
 from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.simulation.compare import orbit_drift
-from qbxstokes.simulation.event_watch import split_columns
+from qbxstokes.simulation.watching import split_columns
 from qbxstokes.typing import Array
 
 SAMPLES, ROWS = "samples", "rows"

@@ -22,11 +22,17 @@ from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.event_watch import build_events, watched
-from qbxstokes.simulation.flow_watch import FlowWatch, breaks_of, require_stokesian, stops_of
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
+from qbxstokes.simulation.watching import (
+    FlowWatch,
+    breaks_of,
+    build_events,
+    require_stokesian,
+    stops_of,
+    watched,
+)
 from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:
@@ -115,7 +121,7 @@ class Assembled:
         )
 
     def _breaks(self, end: float, longest: float | None) -> Array:
-        """`flow_watch.breaks_of` all flows, and `stops_of` those whose functions are asked."""
+        """`watching.breaks_of` all flows, and `stops_of` those whose functions are asked."""
         flows, equations = [part.flow for part in self.parts], self.equations
         if not longest:  # nothing changes in time, or the run is its start
             return breaks_of(flows, end, 0.0)
@@ -240,7 +246,7 @@ class Assembled:
             for name in ("axis", "position")
         }
 
-    def motion(self, times: ArrayLike) -> Motion:
+    def integrate(self, times: ArrayLike) -> Motion:
         """The motion sampled at times (T,)."""
         instants = given.instants(times)
         if len(self.initial) > 1 or self.parts[0].brownian is not None:

@@ -13,7 +13,7 @@ array([1., 0., 0.])
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from qbxstokes.flows import Flow, build_flow
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import symmetric
-from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.motion.equations import Loads
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.simulation.assembly import Assembled
 from qbxstokes.simulation.formed_body import FormedBody
@@ -171,20 +171,12 @@ class Body(FormedBody):
         times: ArrayLike,
         position: ArrayLike = ORIGIN,
         orientation: ArrayLike = UPRIGHT,
-        *,
-        velocity: ArrayLike | None = None,
-        angular_velocity: ArrayLike | None = None,
-        loads: Loads | None = None,
-        constraints: Constraints | None = None,
-        brownian: Mapping[str, Any] | None = None,
-        tolerance: float = 1e-10,
-        stokes_number: None = None,
+        **scene: Any,
     ) -> Motion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
-        velocity, angular_velocity (space frame): at the start, None to follow the flow.
-        brownian: such as {"rotary_diffusivity": 0.1, "seed": 1}, of a body without inertia.
-        tolerance: error accepted at the end. The short form of `qs.Simulation(...).integrate`.
+        scene: further arguments of `qs.Simulation`, such as velocity and angular_velocity at the
+        start, loads, constraints, brownian and tolerance.
 
         >>> import numpy as np, qbxstokes as qs
         >>> times = np.linspace(0.0, 5.0 * np.pi, 5)  # a Jeffery period of k = 1/2
@@ -192,24 +184,15 @@ class Body(FormedBody):
         >>> bool(np.allclose(orbit.axis[-1], [0.6, 0, 0.8]))
         True
         """
-        if stokes_number is not None:
+        if "stokes_number" in scene:
             right = "qs.Body(..., stokes_number=...).integrate(...)"
             raise SceneError("stokes_number", "belongs to the body", right)
-        for name, given in (("velocity", velocity), ("angular_velocity", angular_velocity)):
-            if given is not None and not np.any(self.stokes_number):
+        for name in ("velocity", "angular_velocity"):
+            if scene.get(name) is not None and not np.any(self.stokes_number):
                 right = "leave it out, or give the body a stokes_number"
                 raise SceneError(name, "has no meaning for a massless body", right)
         return Simulation(
-            self,
-            flow,
-            position=position,
-            orientation=orientation,
-            velocity=velocity,
-            angular_velocity=angular_velocity,
-            loads=loads,
-            constraints=constraints,
-            brownian=brownian,
-            tolerance=tolerance,
+            self, flow, position=position, orientation=orientation, **scene
         ).integrate(times)
 
     def axes(

@@ -197,7 +197,7 @@ class CoupledSimulation(Simulation):
         completed.
         """
         self.check()
-        return self.assemble().motion(times)
+        return self.assemble().integrate(times)
 
     def check(self) -> None:
         """Refuse bodies that touch, and a flow that is none around them or slips on the wall."""

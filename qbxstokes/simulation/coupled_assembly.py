@@ -21,11 +21,10 @@ from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.event_watch import split_columns, watched
-from qbxstokes.simulation.flow_watch import breaks_of, stops_of
 from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
 from qbxstokes.simulation.shared_fluid import Fluid
+from qbxstokes.simulation.watching import breaks_of, split_columns, stops_of, watched
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
@@ -138,7 +137,7 @@ class Together:
         """The least gap (T,) of each of the states (T, N, n_state)."""
         return np.array([self.nearness(state).gap for state in states])
 
-    def motion(self, times: ArrayLike) -> CoupledMotion:
+    def integrate(self, times: ArrayLike) -> CoupledMotion:
         """The motion sampled at times (T,)."""
         instants = given.instants(times)
         trajectory, watch = watched(self, instants)

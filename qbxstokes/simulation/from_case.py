@@ -1,17 +1,19 @@
 """A case is one way to write down a simulation: from its sections to the objects."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qbxstokes.case.bodies import BodyEntry
-from qbxstokes.case.load import LoadedCase, from_document
+from qbxstokes.case.load import LoadedCase, case_of, from_document, load_case
 from qbxstokes.case.running import Time
 from qbxstokes.case.scene import FREE, LOCKED, WITH_FLOW, Start
-from qbxstokes.case.schema import Case
 from qbxstokes.case.values import Key
 from qbxstokes.errors import CaseError, FlowError, SceneError
 from qbxstokes.geometry import rotation
@@ -21,23 +23,14 @@ from qbxstokes.motion.equations import Constraints, Loads
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.simulation.time_vectors import timed
-from qbxstokes.typing import AnyArray, Array
+from qbxstokes.typing import Array, Indices
+
+if TYPE_CHECKING:
+    from qbxstokes.simulation.coupled import CoupledSimulation
 
 # Instants stored where a case does not say how many: least and most, and the axis' turn between.
 _SAMPLES, _TURN = (201, 20_001), 0.3  # radians
 LOADS = ("force", "torque", "body_force", "body_torque")  # in the order of `Loads`
-
-
-@dataclass(frozen=True)
-class Starts:
-    """Starts (n, ...) of the lanes that share a case; velocities None: with the flow."""
-
-    stokes_number: Array
-    position: Array
-    quaternion: Array
-    velocity: Array | None
-    angular_velocity: Array | None
-    numbers: AnyArray | None = None  # as trajectories of a sweep
 
 
 @contextmanager
@@ -63,36 +56,51 @@ def body_of(loaded: LoadedCase) -> Body:
 
 
 def simulation_of(
-    loaded: LoadedCase, body: Body | None = None, starts: Starts | None = None
+    loaded: LoadedCase,
+    body: Body | None = None,
+    swept: Mapping[Key, Any] | None = None,
+    numbers: Indices | None = None,
 ) -> Simulation:
-    """The simulation that a case of `task: motion` writes down.
+    """The simulation that a case of `task: motion` of one body writes down.
 
-    body: formed before, for another case with the same shape. starts: of several lanes, in the
-    place of the case's own. Raises CaseError for tables and functions that cannot be used.
+    body: formed before, for another case with the same shape. swept: values (n, ...) of keys in the
+    place of the case's own, of lanes that are the trajectories `numbers` (n,) of a sweep. Raises
+    CaseError for tables and functions that cannot be used.
     """
-    case = loaded.case
+    case, lanes = loaded.case, () if numbers is None else (len(numbers),)
+    swept = swept or {}
     assert case.time is not None
-    own = starts_of(case) if starts is None else None
-    stokes = case.body.stokes_number if starts is None else starts.stokes_number
-    given = own or starts
-    assert given is not None
-    body = body_of(loaded) if body is None else body
+
+    def below(name: str) -> dict[Key, Any]:
+        return {key[2:]: values for key, values in swept.items() if key[:2] == ("start", name)}
+
+    def vectors(name: str) -> Any:
+        base, moving = getattr(case.start, name), below(name)
+        if base == WITH_FLOW and not moving:
+            return None
+        return _filled((0.0, 0.0, 0.0) if base == WITH_FLOW else base, moving, lanes)
+
+    stokes = swept.get(("body", "stokes_number"), case.body.stokes_number)
+    turned = below("orientation")
+    turn = start_quaternion(case.start, case.body.outline, turned, lanes if turned else ())
     loads, constraints = loads_and_constraints(loaded, end_of(loaded))
     simulation = Simulation(
-        body.with_inertia(stokes, case.body.inertia),
+        (body or body_of(loaded)).with_inertia(
+            np.array(np.broadcast_to(stokes, lanes)), case.body.inertia
+        ),
         loaded.flow,
-        position=given.position,
-        orientation=given.quaternion,
-        velocity=given.velocity,
-        angular_velocity=given.angular_velocity,
+        position=vectors("position"),
+        orientation=np.broadcast_to(turn, (*lanes, 4)),
+        velocity=vectors("velocity"),
+        angular_velocity=vectors("angular_velocity"),
         loads=loads,
         constraints=constraints,
         events=case.events,
         brownian=case.brownian,
         tolerance=case.time.tolerance,
     )
-    if given.numbers is not None:
-        simulation.numbers = given.numbers.astype(np.uint64)
+    if numbers is not None:
+        simulation.numbers = numbers.astype(np.uint64)
     return simulation
 
 
@@ -103,31 +111,56 @@ def start_of(loaded: LoadedCase) -> Simulation:
     return Simulation(body, loaded.flow, position=start.position, orientation=turn)
 
 
-def starts_of(case: Case, swept: Mapping[Key, Any] | None = None, n: int = 0) -> Starts:
-    """Where the body starts; n lanes, with values (n, ...) of keys in the place of its own."""
-    lanes = () if swept is None else (n,)
-    swept = swept or {}
+def coupled_of(loaded: LoadedCase, comm: Any = None) -> CoupledSimulation:
+    """The simulation of a case with several bodies or a wall.
 
-    def below(name: str) -> dict[Key, Any]:
-        return {key[2:]: values for key, values in swept.items() if key[:2] == ("start", name)}
+    comm: of PETSc, over whose ranks the bodies are dealt. Raises CaseError for tables and functions
+    that cannot be used, SceneError for a scene that cannot be.
+    """
+    from qbxstokes.simulation.coupled import CoupledSimulation
+    from qbxstokes.simulation.surroundings import Repulsion, Wall
 
-    def vectors(name: str) -> Array | None:
-        base, moving = getattr(case.start, name), below(name)
-        if base == WITH_FLOW and not moving:
-            return None
-        return _filled((0.0, 0.0, 0.0) if base == WITH_FLOW else base, moving, lanes)
+    case = loaded.case
+    bodies = [
+        Body(shape=body.outline, size=body.size, stokes_number=body.stokes_number)
+        for body in case.members
+    ]
+    wall, push = case.wall, case.repulsion
 
-    stokes = swept.get(("body", "stokes_number"), case.body.stokes_number)
-    position, turned = vectors("position"), below("orientation")
-    assert position is not None
-    turn = start_quaternion(case.start, case.body.outline, turned, lanes if turned else ())
-    return Starts(
-        np.array(np.broadcast_to(stokes, lanes), dtype=np.float64),
-        position,
-        np.array(np.broadcast_to(turn, (*lanes, 4))),
-        vectors("velocity"),
-        vectors("angular_velocity"),
+    def moving(name: str) -> Array | None:
+        given = [getattr(body.start, name) for body in case.members]
+        return None if WITH_FLOW in given else np.array(given)
+
+    return CoupledSimulation(
+        bodies if case.bodies is not None else bodies[0],
+        None if case.flow is None else loaded.flow,
+        None if wall is None else Wall(wall.normal, wall.point, wall.velocity),
+        position=np.array([body.start.position for body in case.members]),
+        orientation=np.stack([start_quaternion(b.start, b.outline) for b in case.members]),
+        velocity=moving("velocity"),
+        angular_velocity=moving("angular_velocity"),
+        loads=_loads_on_all(loaded),
+        events=case.events,
+        tolerance=case.hydrodynamics.tolerance if case.time is None else case.time.tolerance,
+        resolution=case.hydrodynamics.tolerance,
+        repulsion=None if push is None else Repulsion(push.strength, push.range),
+        table=wall is not None and case.hydrodynamics.solve == "functional",
+        comm=comm,
     )
+
+
+def from_case(case: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> Simulation:
+    """The simulation of a case file, or of its keys as a dictionary.
+
+    overrides: "section.key=value" as after --set. Raises CaseError for a case that is wrong.
+    """
+    loaded = case_of(case) if isinstance(case, Mapping) else load_case(case, overrides)
+    if loaded.case.task != "motion" or loaded.space is not None:
+        raise loaded.error("task", "is no single motion", "a case of task: motion without a sweep")
+    if loaded.case.coupled:
+        with pointed(loaded):
+            return coupled_of(loaded)
+    return simulation_of(loaded)
 
 
 def _filled(base: Sequence[float], swept: Mapping[Key, Any], lanes: tuple[int, ...]) -> Array:
@@ -306,3 +339,25 @@ def _vector(loaded: LoadedCase, key: tuple[str | int, ...], value: Any, end: flo
         return timed(value, loaded.path.parent, end)
     except (CaseError, FlowError) as error:
         raise loaded.error(key, str(error)) from None
+
+
+def _loads_on_all(loaded: LoadedCase) -> Loads | None:
+    """What acts on the bodies: vectors (N, 3), or functions of time; None where nothing does."""
+    case = loaded.case
+    end = 0.0 if case.time is None else end_of(loaded)
+    rows = [
+        loads_on(loaded, body, key, end)
+        for index, body in enumerate(case.members)
+        for key in [("forces",) if body.forces is None else ("bodies", index, "forces")]
+    ]
+    if not any(rows):
+        return None
+    return Loads(*(_stacked([row.get(kind) for row in rows]) for kind in LOADS))
+
+
+def _stacked(vectors: list[Any]) -> Array | Callable[[float], Array]:
+    """Vectors of all bodies as one (N, 3), or a function of time."""
+    whole = [np.zeros(3) if vector is None else vector for vector in vectors]
+    if not any(callable(vector) for vector in whole):
+        return np.stack(whole)
+    return lambda t: np.stack([v(t) if callable(v) else v for v in whole])

@@ -10,7 +10,7 @@ import numpy as np
 
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.motion.layout import Step
-from qbxstokes.simulation.event_watch import lane_contacts
+from qbxstokes.simulation.watching import lane_contacts
 from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from qbxstokes.simulation.rheology import (
 )
 from qbxstokes.simulation.showing import shown
 from qbxstokes.suspension.fokker_planck import Transport
-from qbxstokes.suspension.history import History, Protocol
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
+from qbxstokes.suspension.particle import History, Protocol
 from qbxstokes.typing import Array
 
 Pair = tuple[Array, Array]

@@ -15,8 +15,8 @@ from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
-from qbxstokes.simulation.event_watch import ending, events_summary, split_columns
 from qbxstokes.simulation.showing import shown
+from qbxstokes.simulation.watching import ending, events_summary, split_columns
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:

@@ -21,9 +21,8 @@ from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.fokker_planck import Evolution, Transport, converged, isotropic
-from qbxstokes.suspension.history import PROTOCOLS, History, Protocol
 from qbxstokes.suspension.orbits import Starts
-from qbxstokes.suspension.particle import LinearFlow, Particle
+from qbxstokes.suspension.particle import PROTOCOLS, History, LinearFlow, Particle, Protocol
 from qbxstokes.typing import Array
 
 # Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.

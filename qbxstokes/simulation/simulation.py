@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -275,7 +274,7 @@ class Simulation:
 
         Raises ConvergenceError where a step cannot be completed.
         """
-        return self.assemble(workshop).motion(times)
+        return self.assemble(workshop).integrate(times)
 
     def to_yaml(self, times: ArrayLike | None = None) -> str:
         """The text of a case that says the same; lanes become an axis of a sweep.
@@ -287,13 +286,13 @@ class Simulation:
         return written(to_case(self, times))
 
     @staticmethod
-    def stack(simulations: Sequence[Simulation]) -> Stack:
-        """Several simulations as the lanes of one, which may differ in body, inertia and flow.
+    def stack(simulations: Sequence[Simulation]) -> Assembled:
+        """Several simulations, which may differ in body and flow, as the lanes of one to integrate.
 
         Their tolerance, constraints and kind of inertia have to agree, and their flows have to be
         polynomials (degree <= 3) or the same.
         """
-        return Stack(tuple(simulations))
+        return assemble(simulations)
 
 
 def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
@@ -317,18 +316,3 @@ def places(position: ArrayLike, orientation: ArrayLike) -> tuple[Array, Array, t
         np.array(np.broadcast_to(q, (*lead, 4))).reshape(-1, 4),
         lead,
     )
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Simulations whose lanes are integrated together: see `Simulation.stack`."""
-
-    parts: tuple[Simulation, ...]
-
-    def __len__(self) -> int:
-        """Number of lanes."""
-        return sum(len(part) for part in self.parts)
-
-    def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
-        """The motion of all lanes, one after the other: see `Simulation.integrate`."""
-        return assemble(self.parts, workshop).motion(times)

@@ -27,8 +27,7 @@ from qbxstokes.motion import random_turns
 from qbxstokes.motion.random_turns import MOST_VARIANCE, variance
 from qbxstokes.motion.stress import stresslets
 from qbxstokes.suspension.fokker_planck import Transport
-from qbxstokes.suspension.history import History
-from qbxstokes.suspension.particle import Particle
+from qbxstokes.suspension.particle import History, Particle
 from qbxstokes.typing import Array
 
 _START = 2**62  # the step whose numbers make the orientations at the start
