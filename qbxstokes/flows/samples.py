@@ -1,97 +1,132 @@
-"""Samples of gradients along paths, (paths, T, components), read from files in parts."""
+"""Samples of gradients along paths, (paths, T, components), read from files in parts or made.
+
+Those that are made are isotropic, Gaussian and smooth in time, a model of turbulence:
+A(t) = sum_c g_c(t) B_c over an orthogonal basis of five strains and three rotations; the g_c are
+independent Gaussian processes of correlation exp(-t^2/(2 tau^2)), each the sum of some waves with
+normal amplitudes and frequencies (Kraichnan, Phys. Fluids 13, 1970). As in homogeneous turbulence
+the mean square of the vorticity is 2 <E:E>.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from qbxstokes.typing import Integers
+from qbxstokes.errors import FlowError
+from qbxstokes.typing import Array, Integers
+
+WAVES = 24  # of each component of random gradients
 
 
-class View:
-    """Some paths and instants of samples (paths, T, components), read as they are asked for.
+class Samples:
+    """Samples of which parts are read as they are asked for, by paths and instants.
 
-    numbers: of the paths in their order, None for all. instants: first and last but one.
+    read: gives those of a slice of the paths, or of one by its number, at a slice of the instants.
     """
 
     ndim = 3
 
-    def __init__(self, whole: Any, numbers: Integers | None, instants: tuple[int, int]) -> None:
-        self._whole, self._numbers, self._first = whole, numbers, instants[0]
-        count = whole.shape[0] if numbers is None else len(numbers)
-        self.shape = (count, instants[1] - instants[0], whole.shape[2])
-        self.dtype = whole.dtype
+    def __init__(self, read: Callable[[Any, slice], Any], shape: tuple[int, int, int]) -> None:
+        self._read, self.shape = read, shape
 
-    def __getitem__(self, place: Any) -> Any:
+    def __getitem__(self, place: tuple[Any, slice]) -> Any:
         """By paths and instants."""
-        paths, instants = place
-        start, stop, step = instants.indices(self.shape[1])
-        instants = slice(self._first + start, self._first + stop, step)
-        if self._numbers is None:
-            return self._whole[paths, instants]
+        return self._read(*place)
+
+    def times(self, factor: float) -> Samples:
+        """The same, times a number."""
+        return Samples(lambda paths, instants: factor * self[paths, instants], self.shape)
+
+
+def view(whole: Any, numbers: Integers | None, first: int, last: int) -> Samples:
+    """Some paths of samples, by their numbers, None for all, from one instant to another."""
+    count = whole.shape[0] if numbers is None else len(numbers)
+
+    def read(paths: Any, instants: slice) -> Any:
+        start, stop, step = instants.indices(last - first)
+        instants = slice(first + start, first + stop, step)
+        if numbers is None:
+            return whole[paths, instants]
         if not isinstance(paths, slice):
-            return self._whole[int(self._numbers[paths]), instants]
-        rows = [self._whole[int(number), instants] for number in self._numbers[paths]]
-        return np.stack(rows) if rows else np.empty((0, stop - start, self.shape[2]))
+            return whole[int(numbers[paths]), instants]
+        rows = [whole[int(number), instants] for number in numbers[paths]]
+        return np.stack(rows) if rows else np.empty((0, stop - start, whole.shape[2]))
+
+    return Samples(read, (count, last - first, whole.shape[2]))
 
 
-class InFile:
-    """Samples of which parts are read as they are asked for: (paths, T), time first or not, and
-    eight or nine components, or three by three.
-    """
+def in_file(data: Any, time_first: bool) -> Samples:
+    """Those of a dataset (paths, T) or (T, paths), with eight, nine or three by three numbers."""
+    n, m = data.shape[:2]
+    width = 9 if data.ndim == 4 else data.shape[2]
 
-    ndim = 3
-
-    def __init__(self, data: Any, time_first: bool) -> None:
-        self._data, self._time_first = data, time_first
-        n, m = data.shape[:2]
-        width = 9 if data.ndim == 4 else data.shape[2]
-        self.shape = (m, n, width) if time_first else (n, m, width)
-        self.dtype, self._factor = data.dtype, 1.0
-
-    def times(self, factor: float) -> InFile:
-        """The same, times a number."""
-        found = InFile(self._data, self._time_first)
-        found._factor = self._factor * factor
-        return found
-
-    def __getitem__(self, place: Any) -> Any:
-        """By paths and instants."""
-        paths, instants = place
-        part = self._data[instants, paths] if self._time_first else self._data[paths, instants]
-        if self._data.ndim == 4:
+    def read(paths: Any, instants: slice) -> Any:
+        part = data[instants, paths] if time_first else data[paths, instants]
+        if data.ndim == 4:
             part = part.reshape(*part.shape[:-2], 9)
-        if self._time_first and part.ndim == 3:
-            part = np.swapaxes(part, 0, 1)
-        return self._factor * part
+        return np.swapaxes(part, 0, 1) if time_first and part.ndim == 3 else part
+
+    return Samples(read, (m, n, width) if time_first else (n, m, width))
 
 
-class InRows:
-    """Samples of paths that follow one another in a file, each from a row of its own on.
+def in_rows(data: Any, starts: Integers, count: int) -> Samples:
+    """Those of paths that follow one another in a dataset (rows, components) or (rows, 3, 3).
 
-    data (rows, components), or (rows, 3, 3); starts (paths,); count: of samples taken of each.
+    starts (paths,): the first row of each; count: of rows taken of each.
     """
+    width = 9 if data.ndim == 3 else data.shape[1]
 
-    ndim = 3
+    def read(paths: Any, instants: slice) -> Any:
+        chosen = np.atleast_1d(starts[paths])
+        inside = np.arange(*instants.indices(count))
+        if not len(chosen) or not len(inside):
+            return np.empty((len(chosen), len(inside), width))
+        first, last = int(chosen.min()), int(chosen.max())
+        block = data[first + inside[0] : last + inside[-1] + 1]
+        found = block.reshape(len(block), -1)[(chosen - first)[:, None] + inside - inside[0]]
+        return found if isinstance(paths, slice) else found[0]
 
-    def __init__(self, data: Any, starts: Integers, count: int, factor: float = 1.0):
-        self._data, self._starts, self._factor = data, starts, factor
-        self.shape = len(starts), count, 9 if data.ndim == 3 else data.shape[1]
-        self.dtype = data.dtype
+    return Samples(read, (len(starts), count, width))
 
-    def times(self, factor: float) -> InRows:
-        """The same, times a number."""
-        return InRows(self._data, self._starts, self.shape[1], self._factor * factor)
 
-    def __getitem__(self, place: Any) -> Any:
-        """By paths and instants."""
-        paths, instants = place
-        starts = np.atleast_1d(self._starts[paths])
-        inside = np.arange(*instants.indices(self.shape[1]))
-        if not len(starts) or not len(inside):
-            return np.empty((len(starts), len(inside), self.shape[2]))
-        first, last = int(starts.min()), int(starts.max())
-        block = self._data[first + inside[0] : last + inside[-1] + 1]
-        found = block.reshape(len(block), -1)[(starts - first)[:, None] + inside - inside[0]]
-        return self._factor * (found if isinstance(paths, slice) else found[0])
+def random_samples(
+    times: Array, paths: int, rate: float, correlation_time: float, seed: int
+) -> Samples:
+    """Those of paths at random, of which each depends on its number alone.
+
+    rate: sqrt(2 <E:E>). Raises FlowError for impossible numbers.
+    """
+    for name, value in (("paths", paths), ("correlation_time", correlation_time)):
+        if not value > 0:
+            raise FlowError(f"{name} is {value}, and must be more than 0", ("gradient", name))
+    # <E:E> = 5 of unit processes would be rate^2/2, and the vorticity squared 3 of them rate^2.
+    basis = _basis() * rate * np.sqrt([0.1] * 5 + [1.0 / 3.0] * 3)[:, None]
+
+    def path(number: int, instants: Array) -> Array:
+        generator = np.random.default_rng([seed, number])
+        frequency = generator.standard_normal((8, WAVES)) / correlation_time
+        one, other = generator.standard_normal((2, 8, WAVES)) / np.sqrt(WAVES)
+        angle = frequency[..., None] * instants
+        waves = one[..., None] * np.cos(angle) + other[..., None] * np.sin(angle)
+        return np.asarray(waves.sum(axis=1).T @ basis)
+
+    def read(chosen: Any, instants: slice) -> Any:
+        if not isinstance(chosen, slice):
+            return path(int(chosen), times[instants])
+        rows = [path(number, times[instants]) for number in range(*chosen.indices(paths))]
+        return np.stack(rows) if rows else np.empty((0, len(times), 9))
+
+    return Samples(read, (paths, len(times), 9))
+
+
+def _basis() -> Array:
+    """Five strains with B:B = 1 and three rotations with vorticity squared 1, (8, 9)."""
+    found = np.zeros((8, 3, 3))
+    found[0] = np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    found[1] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0)
+    for place, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        found[2 + place, i, j] = found[2 + place, j, i] = np.sqrt(0.5)
+        found[5 + place, i, j], found[5 + place, j, i] = 0.5, -0.5
+    return found.reshape(8, 9)

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import FlowError
 from qbxstokes.flows.interpolation import Series, power_weights
-from qbxstokes.flows.random_gradients import RandomSamples
-from qbxstokes.flows.samples import InFile, InRows, View
+from qbxstokes.flows.samples import Samples, in_file, in_rows, random_samples, view
 from qbxstokes.flows.user import resolve_paths
 from qbxstokes.flows.values import SINGLE, check_keys, number, whole
 from qbxstokes.tables import HDF5, TableError, check_file, read_table
@@ -66,7 +65,7 @@ class GradientSeries(Series):
 
     @classmethod
     def gaussian(cls, **keys: Any) -> GradientSeries:
-        """Paths at random (`random_gradients`): end, spacing, paths, rate, correlation_time, ..."""
+        """Paths at random (`samples`): end, spacing, paths, rate, correlation_time, ..."""
         return series_of_file({"process": "gaussian", **keys})
 
     @property
@@ -93,13 +92,13 @@ class GradientSeries(Series):
         """Some of the paths, by their numbers, in their order."""
         if np.array_equal(numbers, np.arange(len(self))):
             return self
-        return self._with(self.times, View(self._rows, numbers, (0, len(self.times))))
+        return self._with(self.times, view(self._rows, numbers, 0, len(self.times)))
 
     def part(self, paths: slice, instants: slice) -> GradientSeries:
         """Some of the paths, by their numbers, at some of the instants; nothing is read."""
         first, last, _ = instants.indices(len(self.times))
         numbers = None if paths == slice(None) else np.arange(*paths.indices(len(self)))
-        return self._with(self.times[first:last], View(self._rows, numbers, (first, last)))
+        return self._with(self.times[first:last], view(self._rows, numbers, first, last))
 
     def _with(self, times: Array, samples: Any) -> GradientSeries:
         rules = {"interpolation": self.interpolation, "trace": self.trace_rule}
@@ -135,7 +134,7 @@ def series_of_file(given: Mapping[str, Any], trajectory: int | None = None) -> G
     instants beside it. unit: the flow's unit of time in that of the file, by which times are
     divided and gradients multiplied.
     With {process: gaussian, rate, correlation_time, paths, end, spacing, seed} the paths are made
-    at random (`random_gradients`); with {times, values} they are given. Raises FlowError.
+    at random (`samples`); with {times, values} they are given. Raises FlowError.
     """
     try:
         if "times" in given:
@@ -199,8 +198,7 @@ def _of_process(given: Mapping[str, Any]) -> GradientSeries:
     if not 0.0 < spacing <= 0.2 * end or end / spacing > 1e8:
         raise FlowError(f"spacing is {spacing:g}, and end {end:g}", ("gradient", "spacing"))
     times = np.linspace(0.0, end, round(end / spacing) + 1)
-    samples = RandomSamples(times, paths, rate, time, seed)
-    return GradientSeries(times, samples)
+    return GradientSeries(times, random_samples(times, paths, rate, time, seed))
 
 
 def _of_hdf5(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
@@ -225,7 +223,7 @@ def _of_npy(path: Path, given: Mapping[str, Any]) -> tuple[Array, Any]:
     return times, _laid_out(data, given, ["trajectory", "time"])
 
 
-def _laid_out(data: Any, given: Mapping[str, Any], order: list[str]) -> InFile:
+def _laid_out(data: Any, given: Mapping[str, Any], order: list[str]) -> Samples:
     """Samples of which the file tells the order of axes, or else the case."""
     layout = given.get("layout", order)
     named = tuple(layout) if isinstance(layout, (list, tuple)) else ()
@@ -233,11 +231,11 @@ def _laid_out(data: Any, given: Mapping[str, Any], order: list[str]) -> InFile:
         right = "[trajectory, time] or [time, trajectory]"
         raise FlowError(f"layout is {layout}; {right} is expected", ("gradient", "layout"))
     if data.ndim == 2 or (data.ndim == 3 and data.shape[1:] == (3, 3)):
-        return InFile(data[...].reshape(1, len(data), -1), False)
+        return in_file(data[...].reshape(1, len(data), -1), False)
     if data.ndim not in (3, 4):
         wrong = f"samples have shape {data.shape}; paths, instants and components are expected"
         raise FlowError(wrong, ("gradient", "file"))
-    return InFile(data, layout[0] == "time")
+    return in_file(data, layout[0] == "time")
 
 
 def _of_rows(path: Path, given: Mapping[str, Any], trajectory: int | None) -> tuple[Array, Any]:
@@ -265,7 +263,7 @@ def _of_rows(path: Path, given: Mapping[str, Any], trajectory: int | None) -> tu
                 raise FlowError(wrong, ("gradient", "rows"))
     except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
         raise FlowError(f"{path}: cannot be read ({error})", ("gradient", "file")) from None
-    return instants, InRows(data, starts, count)
+    return instants, in_rows(data, starts, count)
 
 
 def _of_dimensions(data: Any) -> tuple[Any, list[str]]:
