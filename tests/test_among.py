@@ -16,7 +16,7 @@ from qbxstokes.bie.lines import lines_in_space
 from qbxstokes.cli.main import run_command
 from qbxstokes.errors import CaseError
 from qbxstokes.plots.animation import animate
-from qbxstokes.plots.picture_choice import kinds
+from qbxstokes.plots.pictures import kinds
 from qbxstokes.simulation.flow_among import FlowAmong
 
 WALL = qs.Wall(normal=[0.0, 1.0, 0.0])

@@ -19,7 +19,7 @@ from qbxstokes.bie.multiple_scattering import gaps_of
 from qbxstokes.case.load import case_of
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.plots.motion import drawings
+from qbxstokes.plots.pictures import motion_drawings as drawings
 from qbxstokes.runs.plan import plan_coupled
 from qbxstokes.runs.plan_report import plan_text
 

@@ -24,14 +24,15 @@ from qbxstokes.geometry import rotation
 from qbxstokes.io.names import older_pictures
 from qbxstokes.io.results import Result, load
 from qbxstokes.io.writer import ResultWriter
-from qbxstokes.plots import motion, style, sweep
+from qbxstokes.plots import pictures, style, sweep
 from qbxstokes.plots.animation import Frames, animate
-from qbxstokes.plots.camera import Camera, split_at_silhouette
-from qbxstokes.plots.columns import Columns, figure_of
-from qbxstokes.plots.orbit import drifts
-from qbxstokes.plots.picture_choice import kinds
-from qbxstokes.plots.picture_source import axis_path, between, sampling, smooth
+from qbxstokes.plots.charts import figure_of
+from qbxstokes.plots.columns import Columns
+from qbxstokes.plots.pictures import kinds
 from qbxstokes.plots.series import alike, draw_path
+from qbxstokes.plots.source import axis_path, between, sampling, smooth
+from qbxstokes.plots.sphere import drifts
+from qbxstokes.plots.views import Camera, split_at_silhouette
 from qbxstokes.reference import jeffery
 from qbxstokes.simulation.from_case import samples_of, times_of
 
@@ -98,21 +99,23 @@ def drawn(axes: Any, name: str) -> tuple[Array, Array]:
 
 def figure(result: Result, kind: str) -> Any:
     with style.styled():
-        return motion.drawings(result)[kind]()
+        return pictures.motion_drawings(result)[kind]()
 
 
 # -- what a motion calls for ------------------------------------------------------------------
 
 
 def test_a_moving_body_calls_for_every_kind(result: Result) -> None:
-    assert list(motion.drawings(result)) == [kind for kind in motion.KINDS if kind != "stress"]
+    assert list(pictures.motion_drawings(result)) == [
+        kind for kind in pictures.KINDS if kind != "stress"
+    ]
 
 
 def test_what_does_nothing_is_not_drawn(tmp_path: Path, times: Array) -> None:
     block = orbit(times)
     block["position"][:] = 0.0
     block["force"][:] = 1e-16
-    still = motion.drawings(load(write(tmp_path / "a.h5", block)))
+    still = pictures.motion_drawings(load(write(tmp_path / "a.h5", block)))
     assert list(still) == ["orbit", "rotation", "constant", "overview"]
 
 
@@ -121,15 +124,15 @@ def test_a_file_with_few_quantities_is_drawn_as_far_as_it_goes(
 ) -> None:
     block = {name: orbit(times)[name] for name in ("time", "axis")}
     few = load(write(tmp_path / "a.h5", block))
-    assert list(motion.drawings(few)) == ["orbit", "rotation", "overview"]
-    for kind in motion.drawings(few):
+    assert list(pictures.motion_drawings(few)) == ["orbit", "rotation", "overview"]
+    for kind in pictures.motion_drawings(few):
         figure(few, kind)
 
 
 @pytest.mark.parametrize("samples", [1, 2])
 def test_few_samples_are_drawn(tmp_path: Path, samples: int) -> None:
     few = load(write(tmp_path / "a.h5", orbit(np.arange(samples, dtype=float))))
-    kinds = {"orbit", "path", "overview"} & set(motion.drawings(few))
+    kinds = {"orbit", "path", "overview"} & set(pictures.motion_drawings(few))
     assert "overview" in kinds
     for kind in sorted(kinds):
         picture = figure(few, kind)
@@ -566,7 +569,7 @@ def test_animation_needs_an_orientation_and_a_shape(
         animate(load(write(tmp_path / "a.h5", block)))
     nameless = load(result.path)
     nameless.provenance = {}
-    with pytest.raises(ResultFileError, match="shape of the body"):
+    with pytest.raises(ResultFileError, match="shapes of the bodies"):
         animate(nameless)
 
 
@@ -620,7 +623,7 @@ def test_files_of_this_format_with_wrong_contents_are_refused(tmp_path: Path, ti
     result = load(odd)
     result.arrays["axis"] = result.arrays["axis"][:, :2]
     with pytest.raises(ResultFileError, match="axis has shape"):
-        motion.drawings(result)["orbit"]()
+        pictures.motion_drawings(result)["orbit"]()
 
 
 @pytest.mark.parametrize(
@@ -718,8 +721,8 @@ def test_a_drawing_that_fails_keeps_the_picture_before(
     def fail(*_: Any, **__: Any) -> None:
         raise fault
 
-    monkeypatch.setattr("qbxstokes.plots.motion.draw_orbit", fail)
-    monkeypatch.setattr("qbxstokes.plots.orbit.draw_orbit", fail)
+    monkeypatch.setattr("qbxstokes.plots.pictures.draw_orbit", fail)
+    monkeypatch.setattr("qbxstokes.plots.sphere.draw_orbit", fail)
     assert run_command(["plot", str(path), "--kind", "orbit", "--output", str(tmp_path)]) == 2
     assert f"{old}: an earlier picture, kept" in capsys.readouterr().err
     assert old.read_text() == "before"

@@ -154,8 +154,8 @@ def drawings(
     Raises CaseError for kinds, columns or trajectories that are not there, ResultFileError for a
     file that is damaged or was not written by this program.
     """
-    from qbxstokes.plots.picture_choice import kinds as chosen
-    from qbxstokes.plots.picture_source import sampling
+    from qbxstokes.plots.pictures import kinds as chosen
+    from qbxstokes.plots.source import sampling
 
     result = _opened(path, trajectory)
     if result.task != "sweep" and (note := sampling(result)):
@@ -295,9 +295,9 @@ def _file(options: argparse.Namespace, formats: Iterable[str]) -> Path | None:
 def _usage(command: str) -> str:
     if command != "plot":
         return ANIMATE_USAGE if command == "animate" else EXPORT_USAGE
-    from qbxstokes.plots import bodies, motion
+    from qbxstokes.plots import bodies, pictures
 
-    kinds = {**motion.KINDS, **bodies.KINDS}
+    kinds = {**pictures.KINDS, **bodies.KINDS}
     return PLOT_USAGE.format(
         motion=textwrap.indent("".join(f"{kind:20}{text}\n" for kind, text in kinds.items()), "  ")
     )

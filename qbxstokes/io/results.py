@@ -127,14 +127,14 @@ class Result:
         kind: as `plot --kind`, or a quantity such as "axis"; the first of `kinds` unless given. ax:
         Axes, or as many as the picture has panels. roles: of a sweep x, y, by, value and scale.
         """
-        from qbxstokes.plots.picture_choice import plot
+        from qbxstokes.plots.pictures import plot
 
         return plot(self.original or self, kind, ax, roles)
 
     @property
     def kinds(self) -> list[str]:
         """The pictures that the result calls for."""
-        from qbxstokes.plots.picture_choice import kinds
+        from qbxstokes.plots.pictures import kinds
 
         return list(kinds(self))
 

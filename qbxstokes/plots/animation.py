@@ -18,20 +18,20 @@ import numpy as np
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.plots import style
-from qbxstokes.plots.bodies import coupled, outlines, wall_of
-from qbxstokes.plots.camera import Camera
-from qbxstokes.plots.picture_source import (
+from qbxstokes.plots.series import draw_path, moves, plane_of_motion
+from qbxstokes.plots.source import (
     ResultLike,
     axis_path,
     between,
+    coupled,
     instants,
     samples,
-    shape_of,
+    shapes_of,
     vectors,
+    wall_of,
 )
-from qbxstokes.plots.series import draw_path, moves, plane_of_motion
 from qbxstokes.plots.style import Figure
-from qbxstokes.plots.views import SHADES, AxisView, GroupView, lit
+from qbxstokes.plots.views import SHADES, AxisView, Camera, GroupView, lit
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def animate(
     with style.styled():
         figure = _blank(width)
         axes = figure.add_axes((0.0, 0.0, _SIDE / width, 1.0))
-        scene = AxisView(axes, motion, shape_of(result), _VIEW)
+        scene = AxisView(axes, motion, shapes_of(result)[0][0], _VIEW)
         place = _place_beside(figure, result, motion) if beside else None
 
     def show(frame: int) -> None:
@@ -228,7 +228,7 @@ def _animate_together(
     with style.styled():
         figure = _blank(_SIDE)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        scene = GroupView(axes, outlines(result, count), motions, camera, wall)
+        scene = GroupView(axes, shapes_of(result, count), motions, camera, wall)
     return Film(figure, scene.show, frames, fps)
 
 

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from qbxstokes.errors import ResultFileError, SceneError
-from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
+from qbxstokes.errors import ResultFileError
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike, instants, resolved_case, smooth, units
-from qbxstokes.plots.series import draw_lines, label_plane, plane_of_motion
+from qbxstokes.plots.series import Panel, draw_lines, label_plane, plane_of_motion, stacked
+from qbxstokes.plots.source import ResultLike, instants, shapes_of, smooth, units, wall_of
 from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import MOTION
 from qbxstokes.typing import Array
@@ -24,11 +23,6 @@ KINDS: dict[str, str] = {
     "displacement": "displacement of each of several bodies",
 }
 _KINDS = {"displacement": "position", "velocity": "velocity", "rotation": "axis"}
-
-
-def coupled(result: ResultLike) -> bool:
-    """Whether the result is a motion of several bodies, or of one by a wall."""
-    return bool(resolved_case(result).get("bodies")) or wall_of(result) is not None
 
 
 def drawings(result: ResultLike) -> Drawings:
@@ -60,20 +54,19 @@ def series_figure(result: ResultLike, name: str) -> Figure:
     size = np.abs(values)
     values = np.where(size > _NOISE * np.nanmax(size, initial=0.0), values, 0.0)
     about = MOTION[name]
-    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * 3)
-    panels = figure.subplots(3, 1, sharex=True)
-    for component, axes in enumerate(panels):
-        shown = values[:, :_MANY, component]
-        draw_lines(axes, times, [(f"body {b + 1}", shown[:, b]) for b in range(shown.shape[1])])
-        symbol = rf"\Delta {about.symbols[component]}" if name == "position" else None
-        style.set_ylabel(axes, f"${symbol or about.symbols[component]}$", units(result, name))
-        if component and (legend := axes.get_legend()) is not None:
-            legend.remove()
-        if component < 2:
-            axes.set_xlabel("")
-    style.letter_panels(list(panels))
-    figure.align_ylabels(list(panels))
-    return figure
+
+    def panel(component: int) -> Panel:
+        def draw(axes: Axes) -> None:
+            shown = values[:, :_MANY, component]
+            draw_lines(axes, times, [(f"body {b + 1}", shown[:, b]) for b in range(shown.shape[1])])
+            symbol = rf"\Delta {about.symbols[component]}" if name == "position" else None
+            style.set_ylabel(axes, f"${symbol or about.symbols[component]}$", units(result, name))
+            if component and (legend := axes.get_legend()) is not None:
+                legend.remove()
+
+        return draw
+
+    return stacked([panel(component) for component in range(3)])
 
 
 def _by_body(result: ResultLike, name: str) -> Array:
@@ -85,22 +78,6 @@ def _by_body(result: ResultLike, name: str) -> Array:
     return values
 
 
-def outlines(result: ResultLike, count: int) -> list[tuple[Any, float]]:
-    """Shape and size of every body; raises ResultFileError where the file does not say."""
-    case = resolved_case(result)
-    entries = case.get("bodies") or [case.get("body") or {}]
-    try:
-        found = [
-            (build_shape(**{name: entry.get(name) for name in SHAPE_KEYS}), entry.get("size", 1.0))
-            for entry in entries
-        ]
-    except (SceneError, TypeError, AttributeError):
-        found = []
-    if len(found) != count:
-        raise ResultFileError(f"{result.path}: does not say the shapes of the bodies")
-    return found
-
-
 def _draw_scene(axes: Axes, result: ResultLike) -> None:
     position, axis = _by_body(result, "position"), _by_body(result, "axis")
     whole = np.flatnonzero(np.isfinite(position).all(axis=(1, 2)))
@@ -108,7 +85,7 @@ def _draw_scene(axes: Axes, result: ResultLike) -> None:
     velocity = _by_body(result, "velocity")[whole] if "velocity" in result.arrays else None
     paths = smooth(instants(result)[whole], position, velocity)
     along, across = _plane(result, position)
-    bodies = outlines(result, position.shape[1])
+    bodies = shapes_of(result, position.shape[1])
     seen = []
     for b, (shape, size) in enumerate(bodies):
         look = style.line_style(b)
@@ -158,15 +135,6 @@ def _edge(shape: Any, size: float, axis: Array, plane: list[int]) -> Array:
     turn = np.linspace(0.0, 2.0 * np.pi, 91)
     m = np.stack([np.cos(turn), np.sin(turn)])
     return np.asarray((matrix @ m / np.sqrt(np.einsum("ik,ij,jk->k", m, matrix, m))).T)
-
-
-def wall_of(result: ResultLike) -> tuple[Array, Array] | None:
-    """Unit normal and a point of the wall, None where there is none."""
-    around = resolved_case(result).get("surroundings") or {}
-    if around.get("type") != "wall":
-        return None
-    normal = np.array(around["normal"], dtype=np.float64)
-    return normal / np.linalg.norm(normal), np.array(around["point"], dtype=np.float64)
 
 
 def draw_wall(

@@ -6,12 +6,13 @@ stream is not flattened by the motion along it.
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike, instants, samples, smooth, units, vectors
-from qbxstokes.plots.style import Axes
+from qbxstokes.plots.source import ResultLike, instants, samples, smooth, units, vectors
+from qbxstokes.plots.style import Axes, Figure
 from qbxstokes.quantities import RECORDABLE, STRESS
 from qbxstokes.typing import Array
 
@@ -184,6 +185,29 @@ def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
                 draw = _three if name in ("axis", "euler_angles") else vector_panels
                 found += draw(result, name)
     return found
+
+
+def stacked(drawn: Sequence[Panel]) -> Figure:
+    """Panels over one time axis, one above the other."""
+    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * len(drawn))
+    grid = figure.add_gridspec(len(drawn), 1)
+    style.letter_panels(column_of(figure, grid, 0, 0, drawn))
+    return figure
+
+
+def column_of(
+    figure: Figure, grid: Any, column: int, first: int, contents: Sequence[Panel]
+) -> list[Axes]:
+    """Panels in a column of the grid from row `first` on, the time axis labelled at the last."""
+    drawn: list[Axes] = []
+    for index, panel in enumerate(contents):
+        axes = figure.add_subplot(grid[first + index, column], sharex=drawn[0] if drawn else None)
+        panel(axes)
+        if index < len(contents) - 1:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+        drawn.append(axes)
+    return drawn
 
 
 def plane_of_motion(position: Array) -> tuple[int, int]:

@@ -23,6 +23,7 @@ import numpy as np
 
 from qbxstokes import __version__
 from qbxstokes.errors import CaseError
+from qbxstokes.typing import Array
 
 FORMATS = ("pdf", "svg", "png")
 # What matplotlib calls so: annotations alone name them, so that nothing imports it without drawing.
@@ -226,6 +227,17 @@ def line_style(index: int, markers: bool = False) -> dict[str, Any]:
     if markers:
         style |= {"marker": marker, "markerfacecolor": "white", "markeredgewidth": 0.9}
     return style
+
+
+def draw_curve(
+    axes: Axes, number: int, x: Array, y: Array, name: str, around: Array | None = None
+) -> None:
+    """The curve of that number in its own style, with a band of a half width around it."""
+    look = line_style(number)
+    axes.plot(x, y, label=name, **look)
+    if around is not None:
+        band = {"color": look["color"], "alpha": 0.25, "linewidth": 0}
+        axes.fill_between(x, y - around, y + around, **band)
 
 
 def units_text(units: str) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
-from qbxstokes.plots.columns import CURVES, Columns, figure_of
-from qbxstokes.plots.picture_source import ResultLike, resolved_case
+from qbxstokes.plots.charts import CURVES, figure_of, histogram_figure
+from qbxstokes.plots.columns import Columns, averaged
+from qbxstokes.plots.source import ResultLike, resolved_case
 from qbxstokes.plots.sphere import distribution_figure
-from qbxstokes.plots.statistics import averaged, histogram_figure
 from qbxstokes.plots.style import Drawings, Figure
 from qbxstokes.typing import Indices
 

@@ -183,7 +183,7 @@ def describe_result(result: Result) -> str:
 
 
 def _sampling(result: Result) -> Rows:
-    from qbxstokes.plots.picture_source import TURN_LIMIT, turn_between
+    from qbxstokes.plots.source import TURN_LIMIT, turn_between
 
     turn = turn_between(result)
     if turn > 1e-9:  # less is rounding

@@ -107,7 +107,7 @@ class Motion:
         kind: orbit, rotation, constant, path, velocity, loads, overview, or a quantity's name, such
         as particle_stress.
         """
-        from qbxstokes.plots.picture_choice import plot
+        from qbxstokes.plots.pictures import plot
 
         count = math.prod(self.position.shape[:-2])
         if not 0 <= lane < count:

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from qbxstokes.errors import ResultFileError, SceneError
+from qbxstokes.geometry import rotation
 from qbxstokes.geometry.registry import SHAPE_KEYS, build_shape
 from qbxstokes.typing import AnyArray, Array
 
@@ -108,20 +110,110 @@ def resolved_case(result: ResultLike) -> Mapping[str, Any]:
     return case if isinstance(case, dict) else {}
 
 
-def shape_of(result: ResultLike) -> Any:
-    """The shape of the body; raises ResultFileError where the file does not say.
+def shapes_of(result: ResultLike, count: int = 1) -> list[tuple[Any, float]]:
+    """Shape and size of every body; raises ResultFileError where the file does not say.
 
-    Of a trajectory of a sweep it may be a swept value, which its provenance names.
+    Of a trajectory of a sweep a shape may be a swept value, which its provenance names.
     """
-    body = resolved_case(result).get("body", {})
-    given = {name: body.get(name) for name in SHAPE_KEYS} if isinstance(body, dict) else {}
-    swept = result.provenance.get("swept", {})
-    if isinstance(swept, dict):
-        given |= {name: value for name, value in swept.items() if name in SHAPE_KEYS}
+    case, swept = resolved_case(result), result.provenance.get("swept", {})
     try:
-        return build_shape(**given)
-    except (SceneError, TypeError):
-        raise ResultFileError(f"{result.path}: does not say the shape of the body") from None
+        found = []
+        for entry in case.get("bodies") or [case.get("body") or {}]:
+            given = {name: entry.get(name) for name in SHAPE_KEYS}
+            if isinstance(swept, dict) and not case.get("bodies"):
+                given |= {name: value for name, value in swept.items() if name in SHAPE_KEYS}
+            found.append((build_shape(**given), entry.get("size", 1.0)))
+    except (SceneError, TypeError, AttributeError):
+        found = []
+    if len(found) != count:
+        raise ResultFileError(f"{result.path}: does not say the shapes of the bodies")
+    return found
+
+
+def coupled(result: ResultLike) -> bool:
+    """Whether the result is a motion of several bodies, or of one by a wall."""
+    return bool(resolved_case(result).get("bodies")) or wall_of(result) is not None
+
+
+def wall_of(result: ResultLike) -> tuple[Array, Array] | None:
+    """Unit normal and a point of the wall, None where there is none."""
+    around = resolved_case(result).get("surroundings") or {}
+    if around.get("type") != "wall":
+        return None
+    normal = np.array(around["normal"], dtype=np.float64)
+    return normal / np.linalg.norm(normal), np.array(around["point"], dtype=np.float64)
+
+
+# -- fields: what one holds at an instant, where the bodies are, how coordinates are called -----
+
+
+def name_of(plane: Mapping[str, Any], which: str) -> str:
+    """How a coordinate of the plane is called: by the axis it runs along, where it does."""
+    direction = plane[which]
+    for index in range(3):
+        if abs(direction[index] - 1.0) < 1e-12:
+            frame = plane["frame"]
+            if frame == "body":
+                return rf"$\tilde{{x}}_{index + 1}$"
+            place = f" - X_{index + 1}" if frame == "centre" else ""
+            return f"$x_{index + 1}{place}$"
+    return f"{which} coordinate"
+
+
+def state(result: ResultLike, step: int, name: str) -> Array:
+    """Quantity of the body at an instant of the field."""
+    times = np.asarray(result.arrays["time"])
+    instant = result.groups["field"]["time"][step]
+    return np.asarray(np.asarray(result.arrays[name])[int(np.abs(times - instant).argmin())])
+
+
+def view_of(result: ResultLike, field: Mapping[str, Any], step: int) -> tuple[Array, Array]:
+    """Directions across and up the picture of the body: those of the plane, if there is one."""
+    if "plane" in field:
+        return directions(result, field["plane"], step)
+    axis = np.atleast_2d(state(result, step, "axis"))[0]
+    across = np.eye(3)[int(np.abs(axis).argmin())]
+    second = np.cross(axis, across)
+    return axis, second / np.linalg.norm(second)
+
+
+def directions(result: ResultLike, plane: Mapping[str, Any], step: int) -> tuple[Array, Array]:
+    """Directions of the plane's coordinates in space."""
+    first, second = plane["first"], plane["second"]
+    if plane["frame"] == "body":
+        turn = rotation.matrix(state(result, step, "orientation"))
+        return turn @ first, turn @ second
+    return first, second
+
+
+@dataclass(frozen=True)
+class Member:
+    """A body at an instant: shape, size, and its motion in space."""
+
+    shape: Any
+    size: float
+    position: Array
+    turn: Array
+    velocity: Array
+    angular_velocity: Array
+
+
+def members_of(result: ResultLike, step: int) -> list[Member]:
+    """The bodies at an instant of the field."""
+    names = "position", "orientation", "velocity", "angular_velocity"
+    held = [np.atleast_2d(state(result, step, name)) for name in names]
+    count = len(held[0])
+    bodies = shapes_of(result, count)
+    return [
+        Member(shape, size, x, rotation.matrix(q), v, w)
+        for (shape, size), x, q, v, w in zip(bodies, *held, strict=True)
+    ]
+
+
+def surfaces_of(field: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The surfaces that the field holds, in the order of the bodies."""
+    names = [name for name in field if name == "surface" or name.startswith("surface_")]
+    return [field[name] for name in sorted(names, key=lambda name: (len(name), name))]
 
 
 # -- between the samples: files hold quantities with their rates, so that the cubic through both is

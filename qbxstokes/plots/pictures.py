@@ -1,23 +1,63 @@
-"""The pictures of one trajectory: which kinds there are, and which a result calls for."""
+"""Which pictures a result calls for, one of them by its name, and those of one trajectory."""
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from qbxstokes.plots import bodies, style
-from qbxstokes.plots.orbit import draw_orbit, orbit_figure
-from qbxstokes.plots.picture_source import ResultLike, sampling
-from qbxstokes.plots.series import Panel, draw_path, moves, panels
-from qbxstokes.plots.style import Axes, Drawings, Figure
+import numpy as np
+
+from qbxstokes.errors import CaseError
+from qbxstokes.plots import bodies, field, style, suspension, sweep
+from qbxstokes.plots.series import column_of, draw_path, draw_quantity, moves, panels, stacked
+from qbxstokes.plots.source import ResultLike, coupled, is_motion, sampling
+from qbxstokes.plots.sphere import draw_orbit, orbit_figure
+from qbxstokes.plots.style import Drawings, Figure
+from qbxstokes.quantities import RECORDABLE
 
 
-def stacked(drawn: Sequence[Panel]) -> Figure:
-    """Panels over one time axis, one above the other."""
-    figure = style.new_figure(style.COLUMN, 0.35 + 1.55 * len(drawn))
-    grid = figure.add_gridspec(len(drawn), 1)
-    style.letter_panels(_column(figure, grid, 0, 0, drawn))
-    return figure
+def kinds(
+    result: ResultLike, wanted: Sequence[str] = (), roles: Mapping[str, Any] | None = None
+) -> Drawings:
+    """Kind and drawing of each picture of a result, or of those wanted.
+
+    A motion has those of its quantities as well, by their names. roles: x, y, by, value and scale
+    of a sweep. Raises CaseError for kinds or columns that are not there.
+    """
+    if result.task == "sweep":
+        return sweep.drawings(result, wanted, roles)  # type: ignore[arg-type]
+    if roles:
+        raise CaseError(f"{result.path}: is not a sweep, so it has no table whose columns to draw")
+    found: Drawings = motion_drawings(result) if is_motion(result) else {}
+    found |= field.drawings(result) | suspension.drawings(result)
+    for kind in wanted:
+        if kind in result.arrays and kind in RECORDABLE and is_motion(result):
+            whole = [partial(draw_quantity, result=result, name=kind)]
+            found.setdefault(kind, partial(stacked, panels(result, [kind]) or whole))
+        elif kind not in found:
+            there = ", ".join(found) or "no pictures"
+            raise CaseError(f"{result.path}: nothing to draw as {kind!r}; there are {there}")
+    if not found:
+        raise CaseError(f"{result.path}: holds nothing that calls for a picture")
+    return {kind: found[kind] for kind in wanted} if wanted else found
+
+
+def plot(result: ResultLike, kind: str, ax: Any, roles: Mapping[str, Any]) -> Any:
+    """One picture: a figure, or `ax` again, drawn into; see `Result.plot`."""
+    draw = next(iter(kinds(result, [kind] if kind else [], roles).values()))
+    if ax is None:
+        with style.styled():
+            return draw()
+    axes = np.ravel(ax).tolist()
+    if len(axes) == 1 and kind in RECORDABLE and is_motion(result):
+        draw_quantity(axes[0], result, kind)
+        return ax
+    with style.into(axes):
+        draw()
+    return ax
+
+
+# -- one trajectory ------------------------------------------------------------------------------
 
 
 def overview_figure(result: ResultLike) -> Figure:
@@ -30,12 +70,12 @@ def overview_figure(result: ResultLike) -> Figure:
     rows = -(-(len(every) + taken) // 2)
     figure = style.new_figure(style.PAGE, min(0.35 + 1.55 * rows, style.TALL))
     grid = figure.add_gridspec(rows, 2)
-    drawn = _column(figure, grid, 0, 0, every[:rows])
+    drawn = column_of(figure, grid, 0, 0, every[:rows])
     if with_orbit:
         orbit = figure.add_subplot(grid[:taken, 1])
         draw_orbit(orbit, result)
         drawn.append(orbit)
-    style.letter_panels(drawn + _column(figure, grid, 1, taken, every[rows:]))
+    style.letter_panels(drawn + column_of(figure, grid, 1, taken, every[rows:]))
     return figure
 
 
@@ -46,23 +86,8 @@ def path_figure(result: ResultLike) -> Figure:
     grid = figure.add_gridspec(len(side), 2)
     path = figure.add_subplot(grid[:, 0])
     draw_path(path, result)
-    style.letter_panels([path, *_column(figure, grid, 1, 0, side)])
+    style.letter_panels([path, *column_of(figure, grid, 1, 0, side)])
     return figure
-
-
-def _column(
-    figure: Figure, grid: Any, column: int, first: int, contents: Sequence[Panel]
-) -> list[Axes]:
-    """Panels in a column of the grid from row `first` on, the time axis labelled at the last."""
-    drawn: list[Axes] = []
-    for index, panel in enumerate(contents):
-        axes = figure.add_subplot(grid[first + index, column], sharex=drawn[0] if drawn else None)
-        panel(axes)
-        if index < len(contents) - 1:
-            axes.set_xlabel("")
-            axes.tick_params(labelbottom=False)
-        drawn.append(axes)
-    return drawn
 
 
 _ROTATION = ("axis", "euler_angles", "angular_velocity")
@@ -86,15 +111,15 @@ KINDS: dict[str, str] = {
 }
 
 
-def drawings(result: ResultLike) -> Drawings:
-    """Kind and drawing of each picture that this result calls for.
+def motion_drawings(result: ResultLike) -> Drawings:
+    """Kind and drawing of each picture that one trajectory calls for.
 
     A picture is left out where its quantity is not in the file or does nothing: the path of a
     centre at rest, the force on a massless body.
     """
     found: Drawings = {}
     if "position" in result.arrays:
-        found = bodies.drawings(result) if bodies.coupled(result) else {}
+        found = bodies.drawings(result) if coupled(result) else {}
         if result.arrays["position"].ndim == 3:
             return found
     if "axis" in result.arrays:

@@ -1,4 +1,4 @@
-"""Pictures of a dilute suspension: material functions, Lissajous curves, maps of orientations."""
+"""Pictures of many particles: distributions and means of an ensemble, a suspension's rheology."""
 
 from functools import partial
 from typing import Any
@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from qbxstokes.errors import ResultFileError
+from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.plots import style
-from qbxstokes.plots.picture_source import ResultLike
+from qbxstokes.plots.source import ResultLike, units
 from qbxstokes.plots.sphere import draw_frame
 from qbxstokes.plots.style import Axes, Drawings, Figure
-from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
+from qbxstokes.quantities import ENSEMBLE, LOOKED_AT, RHEOLOGY, STRAIN_TIME, column
 from qbxstokes.typing import Array
 
+_DRAWN = 50  # bins at least, where there are as many
 _FUNCTIONS = (
     "intrinsic_viscosity",
     "first_normal_stress_difference",
@@ -22,7 +24,13 @@ _MOST_MAPS = 9
 
 
 def drawings(result: ResultLike) -> Drawings:
-    """Kind and drawing of each picture that the result of a suspension calls for."""
+    """Kind and drawing of each picture that an ensemble or a suspension calls for."""
+    if result.task == "ensemble":
+        return {
+            "distributions": partial(distributions_figure, result),
+            "means": partial(means_figure, result),
+            "correlation": partial(correlation_figure, result),
+        }
     if result.task != "rheology":
         return {}
     found: Drawings = {"material-functions": partial(functions_figure, result)}
@@ -31,6 +39,93 @@ def drawings(result: ResultLike) -> Drawings:
     if "distribution" in result.arrays:
         found["distribution"] = partial(maps_figure, result)
     return found
+
+
+# -- ensembles ---------------------------------------------------------------------------------
+
+
+def _bodies(result: ResultLike) -> list[str]:
+    """What tells the bodies apart, in a legend."""
+    names = [name for name in SHAPE_KEYS if name in result.arrays]
+    if len(set(result.arrays["stokes_number"].tolist())) > 1:
+        names.append("stokes_number")
+    rows = zip(*(result.arrays[name].tolist() for name in names), strict=True)
+    symbols = [column(name).symbol for name in names]
+    return [
+        ", ".join(f"${symbol} = {value:g}$" for symbol, value in zip(symbols, row, strict=True))
+        for row in rows
+    ]
+
+
+def _panels(result: ResultLike) -> tuple[Figure, dict[str, Axes]]:
+    """A panel for each quantity."""
+    names = [name for name in LOOKED_AT if f"{name}_counts" in result.arrays]
+    figure, drawn = style.panels(len(names), 3, style.PAGE, lambda rows: 0.5 + 2.0 * rows)
+    return figure, dict(zip(names, drawn, strict=True))
+
+
+def _finished(figure: Figure, panels: list[Axes]) -> Figure:
+    style.legend_on_top(figure, panels)
+    style.letter_panels(panels)
+    return figure
+
+
+def distributions_figure(result: ResultLike) -> Figure:
+    """The density of each quantity: of rates squared over their mean, in logarithmic axes."""
+    figure, panels = _panels(result)
+    for name, axes in panels.items():
+        counts, edges = result.arrays[f"{name}_counts"], result.arrays[f"{name}_edges"]
+        width = max(1, (len(edges) - 1) // _DRAWN)  # bins that are drawn as one
+        starts = np.arange(0, len(edges) - 1, width)
+        edges = edges[np.append(starts, len(edges) - 1)]
+        share = np.add.reduceat(counts[:, 1:-1], starts, axis=1)
+        density = share / counts.sum(axis=1, keepdims=True) / np.diff(edges)
+        symbol, rate = LOOKED_AT[name].symbol, not name.startswith("cos")
+        for index, text in enumerate(_bodies(result)):
+            mean = float(result.arrays[f"{name}_moments"][index, 0]) if rate else 1.0
+            middle = np.sqrt(edges[1:] * edges[:-1]) if rate else 0.5 * (edges[1:] + edges[:-1])
+            seen = density[index] > 0.0
+            style.draw_curve(axes, index, middle[seen] / mean, density[index][seen] * mean, text)
+        if rate:
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            symbol = rf"{symbol}/\langle {symbol}\rangle"
+        else:
+            axes.set_ylim(bottom=0.0)
+        axes.set_xlabel(f"${symbol}$")
+    style.set_ylabel(next(iter(panels.values())), "density")
+    return _finished(figure, list(panels.values()))
+
+
+def means_figure(result: ResultLike) -> Figure:
+    """Means over paths against time, within twice their standard errors."""
+    figure, panels = _panels(result)
+    times, paths = result.arrays["time"], int(result.summary["paths"])
+    for name, axes in panels.items():
+        means, spread = result.arrays[f"{name}_in_time"], result.arrays[f"{name}_spread_in_time"]
+        error = 2.0 * spread / np.sqrt(max(paths, 1))
+        for index, text in enumerate(_bodies(result)):
+            style.draw_curve(axes, index, times, means[:, index], text, error[:, index])
+        axes.set_xlabel(style.label(f"time ${ENSEMBLE['time'].symbol}$", units(result, "time")))
+        unit = units(result, f"{name}_in_time")
+        style.set_ylabel(axes, rf"$\langle {LOOKED_AT[name].symbol}\rangle$", unit)
+    return _finished(figure, list(panels.values()))
+
+
+def correlation_figure(result: ResultLike) -> Figure:
+    """The axis's correlation against the lag."""
+    figure = style.new_figure(style.COLUMN, 2.6)
+    axes = figure.subplots()
+    for index, text in enumerate(_bodies(result)):
+        values = result.arrays["correlation"][:, index]
+        style.draw_curve(axes, index, result.arrays["lag"], values, text)
+    axes.set_xlabel(style.label(rf"lag ${ENSEMBLE['lag'].symbol}$", units(result, "lag")))
+    style.set_ylabel(axes, rf"${ENSEMBLE['correlation'].symbol}$")
+    style.legend_above(axes)
+    return figure
+
+
+# -- rheology ----------------------------------------------------------------------------------
 
 
 def functions_figure(result: ResultLike) -> Figure:
@@ -51,11 +146,8 @@ def functions_figure(result: ResultLike) -> Figure:
                 axes.errorbar(numbers, values, error, fmt="none", color=style.BLACK)
         else:
             for index, number in enumerate(numbers.tolist()):
-                look, own, around = style.line_style(index), values[index], error[index]
-                (line,) = axes.plot(times, own, label=_peclet(number), **look)
-                if around.any():
-                    shade = {"color": line.get_color(), "alpha": 0.25, "linewidth": 0}
-                    axes.fill_between(times, own - around, own + around, **shade)
+                around = error[index] if error[index].any() else None
+                style.draw_curve(axes, index, times, values[index], _peclet(number), around)
         heading = RHEOLOGY[name].heading
         style.set_ylabel(axes, f"${RHEOLOGY[name].symbol}$" if len(names) > 1 else heading)
     if len(numbers) > 1 and (times is not None or np.isinf(numbers).any()):
@@ -86,7 +178,7 @@ def lissajous_figure(result: ResultLike) -> Figure:
     panels = list(figure.subplots(1, 2, sharey=True))
     for index, number in enumerate(numbers.tolist()):
         for axes, abscissa in zip(panels, (strain, rate), strict=True):
-            axes.plot(abscissa, values[index], label=_peclet(number), **style.line_style(index))
+            style.draw_curve(axes, index, abscissa, values[index], _peclet(number))
     panels[0].set_xlabel(rf"strain ${RHEOLOGY['strain'].symbol}$")
     panels[1].set_xlabel(rf"strain rate ${RHEOLOGY['strain_rate'].symbol}$ over its amplitude")
     style.set_ylabel(panels[0], "stress over volume fraction and rate's amplitude")
