@@ -15,8 +15,15 @@ import pytest
 
 from qbxstokes.errors import CaseError, OutputError, ResultFileError
 from qbxstokes.io import store
-from qbxstokes.io.lock import locked
-from qbxstokes.io.store import DamagedPart, Work, holds_work, open_work, read_part, write_part
+from qbxstokes.io.store import (
+    DamagedPart,
+    Work,
+    holds_work,
+    locked,
+    open_work,
+    read_part,
+    write_part,
+)
 from qbxstokes.runs.gathering import Gathering, notes
 from qbxstokes.runs.shared_rows import ALONE
 

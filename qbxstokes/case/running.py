@@ -1,4 +1,4 @@
-"""Sections of a run: time, hydrodynamics, events, checkpoint, output, compare."""
+"""Sections of a run: time, accuracy, events, checkpoint, output; random turns and statistics."""
 
 import re
 from typing import Annotated, Any, Literal, NamedTuple
@@ -256,4 +256,54 @@ class Compare(Section):
     )
     tolerance: Positive | None = key(
         "largest error allowed, above it the run fails (exit 1); unset: no limit", None, 1e-8
+    )
+
+
+class Brownian(Section):
+    """Rotary and translational diffusion of bodies without inertia, in sweeps."""
+
+    rotary_diffusivity: Positive = key("of the axis, in 1/time", example=0.1)
+    translation: bool = key(
+        "displace the bodies as well, by their own mobility (in sweeps of motions)", False
+    )
+    step: Positive | None = key(
+        "longest time from one random turn to the next; unset: 0.05 over the flow's rate or the "
+        "diffusivity. With store: statistics it is the spacing of the series",
+        None,
+        0.02,
+    )
+    seed: Annotated[int, whole(ge=0, lt=2**63)] = key("of the random numbers", 0)
+
+
+RATES = ("tumbling", "spinning", "cos_vorticity")
+STRAINS = ("cos_strain_1", "cos_strain_2", "cos_strain_3")
+
+
+class Statistics(Section):
+    """Moments, distributions, means in time and correlations of axes along paths.
+
+    tumbling and spinning are squares of rates, |dp/dt|^2 and (Omega.p)^2; cos_vorticity and
+    cos_strain_1 (most stretching) to 3 are |cos| of the angle of the axis p with these directions.
+    """
+
+    quantities: Annotated[tuple[str, ...], some(choice(*RATES, *STRAINS))] = key(
+        "what is looked at: " + ", ".join((*RATES, *STRAINS)), RATES
+    )
+    stresses: bool = key(
+        "mean stress of the particles, its Brownian part, and the viscosity it makes", False
+    )
+    every: Annotated[int, whole(ge=1)] = key("samples from one look to the next", 1)
+    discard: Annotated[float, number(ge=0, lt=1)] = key(
+        "part of the time left out, from the start", 0.0
+    )
+    bins: Annotated[int, whole(ge=2, le=100_000)] = key("of each distribution", 200)
+    correlation: Annotated[int, whole(ge=0, le=1000)] = key(
+        "lags of the axis's correlation, spaced in equal proportion", 32
+    )
+    keep: Annotated[int, whole(ge=0, le=256)] = key(
+        "paths, the first ones, whose axes are stored at every look", 0
+    )
+    seed: Annotated[int, whole(ge=0)] = key("of axes at random", 0)
+    sampling: bool = key(
+        "also follow the first paths on every other sample, to tell what the sampling leaves", True
     )

@@ -17,13 +17,20 @@ from qbxstokes.case.bodies import (
     coupled,
     prepared,
 )
-from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.field import FieldSection
 from qbxstokes.case.model import Key, Reader, Section, key
 from qbxstokes.case.rheology import RheologySection
-from qbxstokes.case.running import Checkpoints, Compare, Events, Hydrodynamics, Output, Time
+from qbxstokes.case.running import (
+    Brownian,
+    Checkpoints,
+    Compare,
+    Events,
+    Hydrodynamics,
+    Output,
+    Statistics,
+    Time,
+)
 from qbxstokes.case.scene import FREE, WITH_FLOW, Body, Constraints, FlowSection, Forces, Start
-from qbxstokes.case.statistics import Statistics
 from qbxstokes.case.sweep import Sweep
 from qbxstokes.case.units import Units, nondimensional
 from qbxstokes.case.values import Problem, describe, refuse

@@ -72,7 +72,7 @@ class Result:
 
         Summary and pictures stay as they are. Raises ResultFileError where the case gives none.
         """
-        from qbxstokes.io.physical import physical
+        from qbxstokes.io.listing import physical
 
         return physical(self)
 

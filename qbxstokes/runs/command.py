@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from qbxstokes import folders
 from qbxstokes.errors import ConvergenceError, QbxStokesError
-from qbxstokes.runs.interrupt import Interruption
-from qbxstokes.runs.parallel import guarded, missing_message, on_root, say, world
+from qbxstokes.runs.parallel import Interruption, guarded, missing_message, on_root, say, world
 from qbxstokes.runs.progress import Clock, compilation_told
 
 if TYPE_CHECKING:

@@ -29,8 +29,7 @@ from qbxstokes.quantities import of_ensemble
 from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.ensemble_report import plan_facts, plan_text, summary_text
 from qbxstokes.runs.gathering import Gathering, notes, seconds_between
-from qbxstokes.runs.interrupt import interrupted
-from qbxstokes.runs.parallel import HandOut, on_root
+from qbxstokes.runs.parallel import HandOut, interrupted, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble

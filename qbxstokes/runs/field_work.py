@@ -24,8 +24,7 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
 from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.interrupt import interrupted
-from qbxstokes.runs.parallel import HandOut, agree, on_root
+from qbxstokes.runs.parallel import HandOut, agree, interrupted, on_root
 from qbxstokes.runs.shared_rows import rows_by_all
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of

@@ -19,8 +19,7 @@ from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, open_work, reopen
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
 from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
-from qbxstokes.runs.interrupt import interrupted
-from qbxstokes.runs.parallel import HandOut, on_root
+from qbxstokes.runs.parallel import HandOut, interrupted, on_root
 from qbxstokes.runs.progress import Progress, compilation_told
 from qbxstokes.runs.report import near_edge
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes

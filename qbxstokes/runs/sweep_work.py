@@ -18,9 +18,8 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.runs import block
 from qbxstokes.runs.gathering import Gathering, Keeper, notes
-from qbxstokes.runs.interrupt import Interruption, interrupted
 from qbxstokes.runs.measure import Measurer
-from qbxstokes.runs.parallel import HandOut
+from qbxstokes.runs.parallel import HandOut, Interruption, interrupted
 from qbxstokes.runs.progress import Clock, Progress
 from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.case.brownian import Brownian
-from qbxstokes.case.statistics import RATES, STRAINS, Statistics
+from qbxstokes.case.running import RATES, STRAINS, Brownian, Statistics
 from qbxstokes.errors import ConvergenceError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.interpolation import INTERPOLATIONS

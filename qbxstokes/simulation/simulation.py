@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qbxstokes.bie.resistance import Completion
-from qbxstokes.case.brownian import Brownian
 from qbxstokes.case.document import written
+from qbxstokes.case.running import Brownian
 from qbxstokes.case.running import Events as EventSettings
 from qbxstokes.errors import FlowError, SceneError
 from qbxstokes.flows import Flow
