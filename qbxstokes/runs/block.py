@@ -1,8 +1,9 @@
 """One block of a sweep: start states, integration, quantities and summaries of its trajectories."""
 
 import time as clock
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -10,29 +11,30 @@ from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
+from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.petsc.trajectory import Checkpoint, Trajectory
-from qbxstokes.quantities import COLUMNS, RECORDABLE
-from qbxstokes.quantity import Quantity
 from qbxstokes.runs.gathering import Keeper
 from qbxstokes.runs.sweep_blocks import Scenes
+from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import simulation_of
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.typing import Array, Indices
+from qbxstokes.typing import AnyArray, Array, Indices
 
 
 @dataclass
 class BlockResult:
-    """Summaries (n,) by column, quantities (n, T, ...), and what it cost.
+    """Of trajectories `index` (n,): summaries (n,) by column, quantities (n, T, ...), and more.
 
     failed, endings: why trajectories have no result, or ended before the last instant. nearest:
-    least gap below a body length to an edge of the flow.
+    least gap below a body length to an edge of the flow. steps, evaluations: what it cost.
     """
 
+    index: AnyArray
     summary: dict[str, Array]
     quantities: dict[str, Array]
     times: Array
@@ -42,23 +44,44 @@ class BlockResult:
     steps: int = 0
     evaluations: int = 0
 
+    @classmethod
+    def empty(cls, index: AnyArray, times: Array, scenes: Swept, layout: Layout) -> Self:
+        """Results at times (T,) that are still to be filled in."""
+        n, shapes = len(index), {name: layout.about(name).shape for name in layout.quantities}
+        return cls(
+            index,
+            {name: np.full(n, np.nan) for name in scenes.columns},
+            {name: np.full((n, len(times), *shape), np.nan) for name, shape in shapes.items()},
+            times,
+        )
 
-def empty_result(
-    n: int,
-    columns: Iterable[str],
-    quantities: Iterable[str],
-    times: Array,
-    about: Callable[[str], Quantity] = RECORDABLE.__getitem__,
-) -> BlockResult:
-    """Results of n trajectories at times (T,) that are still to be filled in.
+    def note(self, number: int, mended: bool) -> dict[str, Any]:
+        """What is noted of the block of this number. mended: whether all else in it was there."""
+        totals = {"steps": self.steps, "rhs_evaluations": self.evaluations}
+        return {
+            "block": number,
+            "mended": self.index.tolist() if mended else [],
+            "failed": {str(self.index[i]): reason for i, reason in self.failed.items()},
+            "totals": {**totals, "ended": len(self.endings)},
+            "nearest": self.nearest,
+        }
 
-    about: what a quantity is, if not that of one body.
-    """
-    return BlockResult(
-        {name: np.full(n, np.nan) for name in columns},
-        {name: np.full((n, len(times), *about(name).shape), np.nan) for name in quantities},
-        times,
-    )
+    def rows(self, scenes: Swept, layout: Layout) -> dict[str, AnyArray]:
+        """The rows of the file."""
+        table = np.zeros(len(self.index), dtype=layout.dtype)
+        for name in layout.dtype.names or ():
+            if layout.dtype[name].kind == "f":
+                table[name] = self.summary.get(name, np.nan)
+        for name, column in coordinates_of(scenes, self.index).items():
+            table[name] = column
+        table["status"] = DONE
+        table["status"][list(self.failed)] = FAILED
+        for i, reason in (self.endings | self.failed).items():
+            table["reason"][i] = reason.encode("ascii", "replace")[:REASON_LENGTH]
+        rows: dict[str, AnyArray] = {"index": self.index, "table": table, **self.quantities}
+        if layout.quantities and layout.times is None:
+            rows["time"] = np.tile(self.times, (len(table), 1))
+        return rows
 
 
 def lanes_of(scenes: Scenes, number: int, index: Indices, body: Body | None = None) -> Simulation:
@@ -72,31 +95,28 @@ Part = tuple[Simulation, Indices, Indices]
 
 def compute_block(
     scenes: Sequence[Simulation],
-    times: Array,
-    quantities: tuple[str, ...],
+    result: BlockResult,
     discard: float,
     workshop: Workshop,
     pushed: bool,
     poke: Callable[[], bool],
     keeper: Keeper,
-) -> BlockResult:
-    """Integrate the lanes of all scenes together and summarise them, scene after scene.
+) -> None:
+    """Integrate the lanes of all scenes together, and fill in the first of the results, in order.
 
     Those that fail are told and left out: a block that cannot be integrated is halved until what
     fails stands alone. pushed: see `assemble`. poke: called at every step; where it says stop, the
     state is saved, and the result is not whole.
     """
-    result = empty_result(sum(len(scene) for scene in scenes), COLUMNS, quantities, times)
     parts: list[Part] = []
     first = 0
     for scene in scenes:
         lanes = _sound(scene, first, result)
         parts.append((scene, lanes, first + lanes))
         first += len(scene)
-    integration = _Integration(times, discard, workshop, pushed, poke, keeper, result)
+    integration = _Integration(result, discard, workshop, pushed, poke, keeper)
     integration.restore()
     integration.compute(parts)
-    return result
 
 
 def _sound(scene: Simulation, first: int, result: BlockResult) -> Indices:
@@ -123,13 +143,12 @@ class _Integration:
     its run and seconds so far.
     """
 
-    times: Array
+    result: BlockResult
     discard: float
     workshop: Workshop
     pushed: bool
     poke: Callable[[], bool]
     keeper: Keeper
-    result: BlockResult
     ended: dict[str, str] = field(default_factory=dict)
     begun: tuple[str, LaneRun, float] | None = None
     stopped: bool = False
@@ -166,7 +185,7 @@ class _Integration:
             pushed=self.pushed,
             evaluation="compiled",  # a sweep repays the import, however small its blocks
         )
-        run, spent = LaneRun.of(assembled, self.times), 0.0
+        run, spent = LaneRun.of(assembled, self.result.times), 0.0
         if self.begun is not None and self.begun[0] == name:
             _, held, spent = self.begun
             run = replace(held, assembled=assembled)
@@ -178,7 +197,7 @@ class _Integration:
             ahead, cut = now - cut, now
             self.begun = name, run, spent + now - begin
             assert run.checkpoint is not None
-            if self.keeper.late(ahead) and run.checkpoint.next_sample < len(self.times):
+            if self.keeper.late(ahead) and run.checkpoint.next_sample < len(run.times):
                 self.save()
 
         trajectory = run.go(receive, self.poke)
@@ -228,11 +247,12 @@ class _Integration:
             return
         self.ended = kept["ended"]
         if (begun := kept["begun"]) is not None:
-            states = np.full((len(self.times), *begun["states"].shape[1:]), np.nan)
+            times = self.result.times
+            states = np.full((len(times), *begun["states"].shape[1:]), np.nan)
             states[: len(begun["states"])] = begun["states"]
             checkpoint = Checkpoint(**begun["checkpoint"])
             ended = {int(contact["lane"]): Contact(**contact) for contact in begun["gone"]}
-            run = LaneRun(None, self.times, states, begun["active"], checkpoint, ended)
+            run = LaneRun(None, times, states, begun["active"], checkpoint, ended)
             run.nearest = begun["nearest"]
             self.begun = begun["name"], run, begun["seconds"]
         if (result := kept["result"]) is not None:

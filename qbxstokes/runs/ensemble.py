@@ -28,9 +28,9 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import of_ensemble
 from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.ensemble_report import plan_facts, plan_text, summary_text
-from qbxstokes.runs.gathering import Gathering, notes, seconds_between
-from qbxstokes.runs.parallel import HandOut, interrupted, on_root
-from qbxstokes.runs.progress import Progress, compilation_told
+from qbxstokes.runs.gathering import Crew, Gathering, notes, seconds_between
+from qbxstokes.runs.parallel import HandOut, on_root
+from qbxstokes.runs.progress import compilation_told
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble
 from qbxstokes.simulation.ensemble_means import Found, Sums, added, slenderness
@@ -217,27 +217,14 @@ def _follow(
     job: Job, ensemble: Ensemble, units: list[range], left: list[int], gathering: Gathering
 ) -> dict[str, Any]:
     """What is left of the paths, unit by unit as ranks become free; returns what samples leave."""
-    comm, clock, counters = job.comm, job.clock, HandOut(job.comm)
+    comm, clock = job.comm, job.clock
     speak = comm.rank == 0 and not job.options.quiet and job.options.progress != "none"
-    before = min(
-        ensemble.paths, BLOCK * sum(len(units[n]) for n in set(range(len(units))) - {*left})
-    )
-    progress = None
-    if comm.rank == 0 and not job.options.quiet:
-        progress = Progress(ensemble.paths, job.options.progress, comm.size, "paths", before)
+    done = BLOCK * sum(len(blocks) for n, blocks in enumerate(units) if n not in left)
+    crew = Crew(job, gathering, ensemble.paths, "paths", min(ensemble.paths, done))
     job.interruption.listening = True
-
-    def poke() -> None:
-        counters.poke()
-        if progress is not None and progress.due:
-            progress.update(min(ensemble.paths, before + counters.read(HandOut.DONE)))
-        if job.interruption.asked():
-            gathering.save()
-            raise interrupted(gathering.work.folder, job.interruption.signal)
-
     sampling: dict[str, Any] = {}
     with compilation_told(comm, speak):
-        while (place := counters.next(HandOut.BLOCKS)) < len(left) + 1:
+        for place in crew.numbers(len(left) + 1):
             if place == 0:  # the first thing to do, by whoever comes first
                 with clock.part("sampling"):
                     sampling = ensemble.sampling() if ensemble.settings.sampling else {}
@@ -247,17 +234,13 @@ def _follow(
             with clock.part("paths"):
                 for block in units[number]:
                     sums = added(sums, ensemble.block(block))
-                    counters.add(HandOut.DONE, BLOCK)
-                    poke()
+                    crew.counters.add(HandOut.DONE, BLOCK)
+                    crew.poke()
+                    crew.stop_if_asked()
             with clock.part("output"):
                 trace = np.array([ensemble.series.trace])
                 gathering.add({**sums, "trace": trace}, {"unit": number})
-    with clock.part("waiting"):
-        counters.wait()
-    if progress is not None:
-        progress.close(ensemble.paths, 0)
-    counters.wait()
-    counters.close()
+    crew.end()
     return next((found for found in comm.allgather(sampling) if found), {})
 
 

@@ -23,8 +23,8 @@ from qbxstokes.io.store import Work, check_disk
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
-from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.parallel import HandOut, agree, interrupted, on_root
+from qbxstokes.runs.gathering import Crew, Gathering, notes
+from qbxstokes.runs.parallel import HandOut, agree, on_root
 from qbxstokes.runs.shared_rows import rows_by_all
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
@@ -110,7 +110,7 @@ class FieldWork:
         assert section is not None
         every = interval.number if interval.unit == "seconds" else 30.0
         self.comm, self.section, self.clock, self.instants = comm, section, job.clock, instants
-        self._interruption, self._key = job.interruption, key
+        self._job, self._key = job, key
         self.solution: Any
         if loaded.case.coupled:
             from qbxstokes.simulation.flow_among import AmongBodies
@@ -230,15 +230,11 @@ class FieldWork:
     def _share_out(self, done: set[int]) -> None:
         """Do tasks until none is left; an error of any rank ends the work of all."""
         tasks, failure = self.tasks(), None
-        counters = HandOut(self.comm)
-        told: set[int] = set()
+        crew, told = Crew(self._job, self._gathering), set[int]()
         try:
-            while (number := counters.next(HandOut.BLOCKS)) < len(tasks):
+            for number in crew.numbers(len(tasks)):
                 if number in done:
                     continue
-                if self._interruption.asked():
-                    self._gathering.save()
-                    raise interrupted(self._gathering.work.folder, self._interruption.signal)
                 found = Found()
                 arrays = self._do(tasks[number], found, told)
                 task = astuple(tasks[number])
@@ -246,11 +242,8 @@ class FieldWork:
                 self._gathering.add(arrays, note)
         except QbxStokesError as error:
             failure = error
-        if failure is not None:
-            counters.add(HandOut.BLOCKS, len(tasks))
-        with self.clock.part("waiting"):
-            counters.wait()
-        counters.close()
+            crew.counters.add(HandOut.NUMBERS, len(tasks))
+        crew.end()
         agree(self.comm, failure)
 
     def _do(self, task: Task, found: Found, told: set[int]) -> dict[str, Array]:

@@ -1,20 +1,28 @@
-"""Finished work of the ranks on its way to rank 0, which alone writes the result.
+"""Work that ranks share: its numbers on their way to them, its results on their way to rank 0.
 
+Every rank takes the next number as it becomes free. What it computes does not depend on who it is.
 A rank keeps what it has finished until `every` seconds have passed or it is much, and then makes it
 safe as one part of the working folder: a thousand ranks make thousands of files, not millions. What
 is left at the end goes to rank 0 by a message.
 """
 
+from __future__ import annotations
+
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ResultFileError
 from qbxstokes.io.store import DamagedPart, Work, read_part
+from qbxstokes.runs.parallel import HandOut, interrupted
+from qbxstokes.runs.progress import Progress
 from qbxstokes.typing import AnyArray
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 Item = tuple[dict[str, AnyArray], dict[str, Any]]
 
@@ -39,7 +47,7 @@ class Gathering:
         every: float = 30.0,
         most: int = MOST,
     ) -> None:
-        self._comm, self.work, self._kind, self._joined = comm, work, kind, joined
+        self.comm, self.work, self._kind, self._joined = comm, work, kind, joined
         self.every, self._most = every, most
         self._items: list[Item] = []
         self._bytes, self.saved_at = 0, time.monotonic()
@@ -50,7 +58,7 @@ class Gathering:
         """The communicator with messages that hold arrays as they are, not copies of them."""
         from mpi4py.util import pkl5
 
-        return pkl5.Intracomm(self._comm)
+        return pkl5.Intracomm(self.comm)
 
     def add(self, arrays: Mapping[str, AnyArray], note: Mapping[str, Any]) -> None:
         """Take a finished item."""
@@ -80,7 +88,7 @@ class Gathering:
         Raises ResultFileError for a part that is damaged: it is removed, and a resumed run does its
         work again.
         """
-        if self._comm.rank:
+        if self.comm.rank:
             self._messages.send(self._items, dest=0, tag=_TAG)
             return
         for path in self.work.parts(self._kind):
@@ -95,6 +103,57 @@ class Gathering:
         """Take from the other ranks what nobody wants, so that none of them waits for ever."""
         while self._waiting:
             self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
+
+
+class Crew:
+    """The ranks at work on numbered pieces, whose results are gathered.
+
+    total: how many of what `unit` names there are, for the progress that rank 0 tells; 0: none is
+    told. before: how many of them earlier runs have done.
+    """
+
+    def __init__(
+        self, job: Job, gathering: Gathering, total: int = 0, unit: str = "", before: int = 0
+    ) -> None:
+        comm, style = gathering.comm, job.options.progress
+        self.gathering, self.counters = gathering, HandOut(comm)
+        self._total, self._before = total, before
+        self._interruption, self._clock = job.interruption, job.clock
+        told = total and comm.rank == 0 and not job.options.quiet
+        self._progress = Progress(total, style, comm.size, unit, before) if told else None
+
+    def numbers(self, count: int) -> Iterator[int]:
+        """Numbers below the count for this rank; raises Interrupted as `stop_if_asked`."""
+        while (number := self.counters.next(HandOut.NUMBERS)) < count:
+            self.stop_if_asked()
+            yield number
+
+    def poke(self) -> bool:
+        """Between steps: serve MPI, tell the progress; whether a signal asks to stop."""
+        if self._progress is None or not self._progress.due:
+            self.counters.poke()
+        else:
+            read = self.counters.read
+            done, share = self._before + read(HandOut.DONE), 1e-6 * read(HandOut.SHARE)
+            self._progress.update(min(done, self._total), read(HandOut.FAILED), share)
+        return self._interruption.asked()
+
+    def stop_if_asked(self) -> None:
+        """Raise Interrupted where a signal has asked for it, after what there is was made safe."""
+        if self._interruption.asked():
+            self.gathering.save()
+            raise interrupted(self.gathering.work.folder, self._interruption.signal)
+
+    def end(self) -> int:
+        """Wait for all ranks, once none of them has work; how many pieces have failed."""
+        with self._clock.part("waiting"):
+            self.counters.wait()
+        done, failed = self.counters.read(HandOut.DONE), self.counters.read(HandOut.FAILED)
+        if self._progress is not None:
+            self._progress.close(min(self._before + done, self._total), failed)
+        self.counters.wait()
+        self.counters.close()
+        return failed
 
 
 class Keeper:

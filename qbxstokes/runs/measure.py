@@ -17,6 +17,7 @@ import numpy as np
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, QbxStokesError
+from qbxstokes.io.sweep_result import Layout
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, check_whole, summarise
@@ -61,13 +62,15 @@ class Measurer:
     stop.
     """
 
-    def __init__(self, scenes: Any, poke: Callable[[], bool]) -> None:
-        self._scenes, self._poke = scenes, poke
+    def __init__(self, scenes: Any, layout: Layout, poke: Callable[[], bool]) -> None:
+        self._scenes, self._layout, self._poke = scenes, layout, poke
         self._known: dict[str, tuple[Body, float]] = {}  # with the time that their set-up takes
 
-    def measure(self, number: int, result: BlockResult) -> None:
-        """Fill in the results of the trajectory or body of this number, or why it has none."""
-        scenes = self._scenes
+    def compute(self, number: int, only: list[int] | None) -> BlockResult:
+        """The results of the one trajectory or body of a block, or why it has none."""
+        scenes, layout = self._scenes, self._layout
+        times = np.full(layout.samples, np.nan)
+        result = BlockResult.empty(scenes.block(number).index, times, scenes, layout)
         try:
             points = np.unravel_index(number, scenes.space.shape)
             loaded = scenes.loaded.at([int(point) for point in points])
@@ -80,15 +83,16 @@ class Measurer:
                 else:
                     found = self._motion(loaded, result)
         except Stopped:
-            return
+            return result
         except (QbxStokesError, ArithmeticError) as error:
             result.failed[0] = " ".join(str(error).split())
-            return
+            return result
         for name, value in found.items():
             result.summary[name][:] = value
         limit = loaded.case.compare.tolerance
         if limit is not None and found["error"] > limit:
             result.failed[0] = f"error {found['error']:.1e} exceeds compare.tolerance {limit:g}"
+        return result
 
     def _body(self, loaded: LoadedCase) -> dict[str, float]:
         """The columns of a body."""

@@ -163,9 +163,9 @@ class HandOut:
     calls `poke`, which the integration does at every step. On one rank they are plain numbers.
     """
 
-    # Places in the window.
-    MODELS, BLOCKS, DONE, FAILED, WORK = range(5)
-    _PLACES = 5
+    # Places in the window: the next number; what is done, failed, and of the cost in millionths.
+    NUMBERS, DONE, FAILED, SHARE = range(4)
+    _PLACES = 4
 
     def __init__(self, comm: Any) -> None:
         self._comm = comm

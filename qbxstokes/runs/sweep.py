@@ -18,12 +18,12 @@ from qbxstokes.io.listing import unknown
 from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, open_work, reopen
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
-from qbxstokes.runs.gathering import Gathering, read_whole, seconds_between
-from qbxstokes.runs.parallel import HandOut, interrupted, on_root
-from qbxstokes.runs.progress import Progress, compilation_told
+from qbxstokes.runs.gathering import Crew, Gathering, read_whole, seconds_between
+from qbxstokes.runs.parallel import interrupted, on_root
+from qbxstokes.runs.progress import compilation_told
 from qbxstokes.runs.report import near_edge
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
-from qbxstokes.runs.sweep_work import BLOCKS, Team, Todo, form_models, todo_of, work_on_blocks
+from qbxstokes.runs.sweep_work import BLOCKS, Todo, form_models, todo_of, work_on_blocks
 
 if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
@@ -137,30 +137,18 @@ def _computed(
     """What is to be done, done by all ranks and merged by rank 0."""
     comm, options, clock = job.comm, job.options, job.clock
     gathering = Gathering(comm, work, BLOCKS, joined=True, every=seconds_between(scenes.loaded))
-    counters = HandOut(comm)
     speak = comm.rank == 0 and not options.quiet and options.progress != "none"
-    begin = time.perf_counter()
     try:
         with clock.part("models"):
-            models = form_models(comm, scenes, todo, counters, options.no_cache, speak)
-        progress = None
-        if comm.rank == 0 and not options.quiet:
-            size, unit = scenes.space.size, scenes.nouns[1]
-            progress = Progress(size, options.progress, comm.size, unit, before=todo.done)
+            models = form_models(comm, scenes, todo, options.no_cache, speak)
+        crew = Crew(job, gathering, scenes.space.size, scenes.nouns[1], todo.done)
         begin = time.perf_counter()
         with compilation_told(comm, speak):
             job.interruption.listening = True
-            team = Team(comm, counters, progress, job.interruption, todo)
-            work_on_blocks(team, scenes, layout, models, gathering, clock)
+            work_on_blocks(crew, scenes, layout, todo, models, clock)
     except KeyboardInterrupt as stop:
         raise interrupted(work.folder, *stop.args or (2,)) from None
-    with clock.part("waiting"):
-        counters.wait()
-    failed = counters.read(HandOut.FAILED)
-    if progress is not None:
-        progress.close(todo.done + counters.read(HandOut.DONE), failed)
-    counters.wait()
-    counters.close()
+    crew.end()
     about = {"identity": json.dumps(work.identity), "shape": list(scenes.space.shape)}
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
