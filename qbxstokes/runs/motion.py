@@ -15,9 +15,11 @@ import numpy as np
 
 from qbxstokes.errors import ConvergenceError, Interrupted, QbxStokesError
 from qbxstokes.io.cache import open_cache
+from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc import session
 from qbxstokes.petsc.trajectory import Trajectory
+from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Advance
 from qbxstokes.runs.recording import Recording
@@ -42,25 +44,39 @@ def run_motion(job: Job) -> dict[str, Any]:
     gives the numbers of one.
     """
 
+    loaded, comm = job.loaded, job.comm
+    # Cuts are part of the numbers; those by the clock only choose among them.
+    by_clock = loaded.case.checkpoint.interval.unit == "seconds"
+    cuts = None if by_clock else loaded.case.checkpoint.every
+    options = session.stepper_options(job.PETSc)
+    identity = identity_of(loaded, options, ("field", "sweep"), cuts=cuts)
+    recordings: list[Recording] = []  # one on rank 0
+
+    def opened(work: Work) -> None:
+        recordings.append(Recording(loaded, job.plan, work))
+
     def help_with_field(*arguments: Any) -> None:
         from qbxstokes.runs import field
 
         field.help_with_field(job, *arguments)
 
     def compute(team: RowTeam) -> dict[str, Any]:
-        options = session.stepper_options(job.PETSc)
-        recording = Recording(job.loaded, job.plan, options, job.options.resume, job.overwrite)
-        if recording.finished is not None:
-            return {"result": str(recording.finished), "finished_before": True}
-        follow = _of_several if job.loaded.case.coupled else _of_one
-        try:
-            return follow(job, recording, team)
-        finally:
-            recording.close()
+        follow = _of_several if loaded.case.coupled else _of_one
+        return follow(job, recordings[0], team)
 
-    job.interruption.patient = job.comm.rank != 0
+    job.interruption.patient = comm.rank != 0
     services = {"field": help_with_field, _BODIES: lambda: _help_with_bodies(job)}
-    return on_root(job.comm, with_team(job.comm, compute, services))
+    with working_folder(job, identity, opened) as (work, done):
+        if work is None:
+            return {"result": str(done), "finished_before": True}
+        summary = on_root(comm, with_team(comm, compute, services))
+    if summary["failure"]:
+        error = ConvergenceError(
+            f"{summary['failure']}; {summary['result']} holds the motion so far"
+        )
+        error.on_all_ranks = True
+        raise error
+    return summary
 
 
 def _followed(
@@ -77,7 +93,7 @@ def _followed(
     watch: for events. facts: what the summary says of the computation. conclude: adds to the
     summary what follows from the samples, before all ranks turn to the field. Raises Interrupted
     where a signal asks for it, after what there is has been written and made safe, and
-    ConvergenceError where the motion cannot be followed further, likewise.
+    ConvergenceError where the motion cannot be followed at all.
     """
     case, plan, clock, interruption = job.loaded.case, job.plan, job.clock, job.interruption
     with clock.part("motion"), pointed(job.loaded):
@@ -97,7 +113,6 @@ def _followed(
         if trajectory.refusal:
             watch.ended = ("clearance", trajectory.refusal)
     if trajectory.failure and not trajectory.checkpoint.steps:  # there is nothing to keep
-        recording.close(remove=True)
         raise ConvergenceError(trajectory.failure)
     if not trajectory.finished or case.field is not None:  # which may take longer than the motion
         recording.save()
@@ -111,10 +126,9 @@ def _followed(
         **facts(trajectory),
         "skipped": list(plan.skips),
     }
-    replace = recording.overwrite or recording.replaces(recording.target)
+    replace, work = job.overwrite or recording.replaces, recording.work
     record = {**job.provenance, **recording.provenance}
-    folder = recording.work.folder
-    with ResultWriter(recording.target, case.task, record, replace, folder) as writer:
+    with ResultWriter(work.target, case.task, record, replace, work.folder) as writer:
         with clock.part("output"):
             samples = recording.write(writer, plan.quantities)
         summary["samples"] = recording.samples
@@ -126,7 +140,6 @@ def _followed(
         if case.field is not None and summary["complete"]:
             from qbxstokes.runs.field import export_field, field_of_motion
 
-            work = recording.work
             summary["field"] = field_of_motion(job, samples, writer, assembled, team, work)
             summary["field"]["files"] = export_field(job.loaded, clock, writer.file, work)
         with clock.part("output"):
@@ -136,11 +149,8 @@ def _followed(
         from qbxstokes.runs.field import draw_pictures
 
         summary["field"]["files"] += draw_pictures(job.loaded, clock, Path(summary["result"]))
-    recording.close(remove=trajectory.finished)
     if not trajectory.finished:
         raise interrupted(recording, summary, trajectory.reached, interruption.signal)
-    if trajectory.failure:
-        raise ConvergenceError(f"{trajectory.failure}; {summary['result']} holds the motion so far")
     return summary
 
 

@@ -5,7 +5,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,10 @@ import numpy as np
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import CaseError
 from qbxstokes.io.names import told_by
-from qbxstokes.io.store import DamagedPart, check_disk, open_work, read_part
+from qbxstokes.io.store import DamagedPart, Work, check_disk, read_part
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.quantities import MOTION, STRESS, TIME, of_event
-from qbxstokes.runs.destination import finished_result, identity_of, result_path
 from qbxstokes.runs.plan import MotionPlan
 from qbxstokes.simulation.compare import orbit_drift
 from qbxstokes.simulation.watching import split_columns
@@ -35,21 +33,13 @@ _IN_MEMORY, _PIECE = 8 * 2**20, 2**21
 class Recording:
     """Rows and checkpoints of one motion.
 
-    start: where to begin, the checkpoint of an earlier run or None. finished: the result of this
-    very run, where there is nothing left to go on with. work: the working folder, held from here
-    on; an unfinished run of the same result is gone on with (`resume`), replaced (`overwrite`), or
-    refused with a CaseError.
+    work: the working folder, held by this process. start: where to begin, the checkpoint of an
+    earlier run or None. saved: whether there is something to go on with.
     """
 
-    def __init__(
-        self,
-        loaded: LoadedCase,
-        plan: MotionPlan,
-        options: list[str],
-        resume: bool,
-        overwrite: bool,
-    ) -> None:
-        self._plan = plan
+    def __init__(self, loaded: LoadedCase, plan: MotionPlan, work: Work) -> None:
+        """Raises CaseError where the earlier run has left nothing to go on with, OutputError."""
+        self._plan, self.work = plan, work
         # What is recorded: all that every motion has, and the stresses that are stored.
         self._names = (*MOTION, *(name for name in plan.quantities if name in STRESS))
         self._columns = {"time": TIME, **{name: plan.about(name) for name in self._names}}
@@ -58,27 +48,17 @@ class Recording:
             raise loaded.error(
                 "checkpoint.every", "the flow turns no axis around", "seconds or steps instead"
             )
-        # Cuts are part of the numbers; those by the clock only choose among them.
-        cuts = None if self._interval.unit == "seconds" else loaded.case.checkpoint.every
-        self.identity = identity_of(loaded, options, ("field", "sweep"), cuts=cuts)
-        self.overwrite, self.samples = overwrite, 0
+        right = "half of them while it runs; make room, or fewer samples"
+        check_disk(work.target, 2.0 * plan.bytes_on_disk, "the motion", right)
+        self.samples = 0
         self.start: Checkpoint | None = None
         self.resumed_at: float | None = None
-        self.finished: Path | None = None
         self._events: dict[str, Any] | None = None
         self._waiting: list[tuple[str, Array]] = []
         self._safe = 0  # samples in the parts
         self._latest: dict[str, Any] | None = None
         self._run = os.urandom(16).hex()
-        asked = result_path(loaded)
-        if resume and not overwrite:
-            self.finished = finished_result(loaded, self.identity)
-            if self.finished is not None:
-                return
-        right = "half of them while it runs; make room, or fewer samples"
-        check_disk(asked, 2.0 * plan.bytes_on_disk, "the motion", right)
-        self.work = open_work(asked, self.identity, resume=resume, overwrite=overwrite)
-        if self.work.resumed:
+        if work.resumed:
             self._reopen()
         start = self.start
         self._saved = (time.monotonic(), start.steps if start else 0, start.time if start else 0.0)
@@ -96,20 +76,14 @@ class Recording:
             self.start = Checkpoint(**note["integrator"])
             self._events, self._run = note["events"], note["run"]
         except (DamagedPart, OSError, KeyError, TypeError) as error:
-            self.work.close()
             wrong = f"no checkpoint to go on from ({error}); begin anew with --overwrite"
             raise CaseError(f"{self.work.folder}: {wrong}") from None
         self.resumed_at, self._safe = self.start.time, reached
 
     @property
-    def target(self) -> Path:
-        """The file the result is for."""
-        return self.work.target
-
-    @property
     def provenance(self) -> dict[str, str]:
         """What a result says of the run it came from."""
-        return {"run": self._run, "identity": json.dumps(self.identity)}
+        return {"run": self._run, "identity": json.dumps(self.work.identity)}
 
     # -- while it runs ------------------------------------------------------------------------
 
@@ -161,18 +135,12 @@ class Recording:
         """Make the run safe up to the last cut: its rows since the last save, and its state."""
         if self._latest is None:
             return
-        if not self.saved:
-            self.work.note_run()
         rows = dict(_joined(self._waiting, math.inf))
         self.work.save(ROWS, rows, {**self._latest, "first": self._safe, "run": self._run})
         numbers = self._latest["integrator"]
         self._waiting, self._safe = [], numbers["next_sample"]
         self._saved = (time.monotonic(), numbers["steps"], numbers["time"])
         self.saved = True
-
-    def close(self, remove: bool = False) -> None:
-        """Let go of the working folder; what is in it goes as well where nothing is to be kept."""
-        self.work.close(remove=remove or not self.saved)
 
     # -- at the end ---------------------------------------------------------------------------
 
@@ -218,9 +186,10 @@ class Recording:
         samples = np.concatenate([np.empty((0, width)), *kept])
         return {**split_columns(samples, self._columns), "largest_orbit_drift": np.array(drift)}
 
-    def replaces(self, path: Path) -> bool:
-        """Whether the file at `path` is what an interrupted part of this very run left."""
-        return self.start is not None and told_by(path, "run") == self._run
+    @property
+    def replaces(self) -> bool:
+        """Whether the target is what an interrupted part of this very run left."""
+        return self.start is not None and told_by(self.work.target, "run") == self._run
 
 
 def _joined(pieces: Iterable[tuple[str, Array]], most: float) -> Iterator[tuple[str, Array]]:
