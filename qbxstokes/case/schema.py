@@ -18,7 +18,7 @@ from qbxstokes.case.bodies import (
     prepared,
 )
 from qbxstokes.case.field import FieldSection
-from qbxstokes.case.model import Key, Reader, Section, key
+from qbxstokes.case.model import Key, Reader, Section, key, maybe
 from qbxstokes.case.rheology import RheologySection
 from qbxstokes.case.running import (
     Brownian,
@@ -124,7 +124,11 @@ PETSC_OPTIONS = Reader(_petsc_options, {"type": "object", "additionalProperties"
 
 
 class Case(Section, **_MOVED, **_WITHIN):
-    """One case: what to compute, for which body in which flow, and how."""
+    """One case: what to compute, for which body in which flow, and how.
+
+    body, flow, time, field, rheology and sweep are None where they are not given; a task has those
+    that it needs.
+    """
 
     task: Literal["motion", "field", "body", "rheology"] = key("what to compute", "motion")
     title: str = key("a line that names the case in summaries", "")
@@ -139,18 +143,20 @@ class Case(Section, **_MOVED, **_WITHIN):
         "a short-range force between bodies, and off the wall; unset: none", None
     )
     units: Units | None = key("physical scales; other keys then take numbers with units", None)
-    flow: FlowSection | None = key("the background flow (unset: none, with task: body or bodies)")
+    flow: Annotated[FlowSection, maybe(FlowSection)] = key(
+        "the background flow (unset: none, with task: body or bodies)"
+    )
     start: Start = key("state at time 0", Start())
     forces: Forces = key("external force and torque, gravity", Forces())
     constraints: Constraints = key("parts of the motion that are held or prescribed", Constraints())
-    time: Time | None = key("duration, stored instants, tolerance", None)
+    time: Annotated[Time, maybe(Time)] = key("duration, stored instants, tolerance", None)
     hydrodynamics: Hydrodynamics = key(
         "accuracy and scheme of the integral equation", Hydrodynamics()
     )
-    field: FieldSection | None = key(
+    field: Annotated[FieldSection, maybe(FieldSection)] = key(
         "the flow around the body: where, which quantities, how well", None
     )
-    rheology: RheologySection | None = key(
+    rheology: Annotated[RheologySection, maybe(RheologySection)] = key(
         "a dilute suspension of the body in a homogeneous flow", None
     )
     events: Events = key("what is watched for between samples", Events())
@@ -158,7 +164,9 @@ class Case(Section, **_MOVED, **_WITHIN):
     petsc: Annotated[dict[str, Any], PETSC_OPTIONS] = key(
         "PETSc options without the dash; the command line overrides them", {}, {"ts_monitor": None}
     )
-    sweep: Sweep | None = key("vary keys of the case: many trajectories, one result", None)
+    sweep: Annotated[Sweep, maybe(Sweep)] = key(
+        "vary keys of the case: many trajectories, one result", None
+    )
     brownian: Brownian | None = key("random turns of the axes of bodies in sweeps", None)
     statistics: Statistics = key(
         "what a sweep with store: statistics keeps of bodies along paths", Statistics()

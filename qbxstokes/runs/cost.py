@@ -178,7 +178,6 @@ def field_seconds(loaded: LoadedCase, plan: Plan) -> float:
     from qbxstokes.simulation.flow_around import AroundBody
 
     section, begin, body = loaded.case.field, time.process_time(), plan.simulation.body
-    assert section is not None
     instant = instant_of(section, plan.simulation)
     solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)
     around, asked = solution.at(instant), (section.quantities, section.tolerance, section.method)
@@ -232,7 +231,6 @@ def suspension_seconds(loaded: LoadedCase, plan: Plan) -> float:
     from qbxstokes.runs.rheology import suspension_of
 
     section, workshop = loaded.case.rheology, Workshop()
-    assert section is not None
     numbers, random = list(section.peclet_number), section.langevin
 
     def spent(some: list[float], axes: int) -> float:

@@ -75,7 +75,6 @@ def ensemble_of(loaded: LoadedCase) -> tuple[Ensemble, dict[str, AnyArray]]:
     """The ensemble that a case writes down, and the swept values of its bodies by name (B,)."""
     case, space = loaded.case, loaded.space
     assert space is not None
-    assert case.time is not None
     paths: Column | None = None
     starts: Column | None = None
     axes, alone = [], None
@@ -137,7 +136,6 @@ def _gradients(
 ) -> GradientSeries | SharedGradient:
     """The gradients along the chosen paths, or that of the case's flow for as many as start."""
     time = loaded.case.time
-    assert time is not None
     try:
         if paths is not None:
             return _series(loaded, paths, time.end)
@@ -156,7 +154,6 @@ def _gradients(
 
 def _series(loaded: LoadedCase, paths: Column, end: float | None) -> GradientSeries:
     """The gradients along the chosen paths, at the samples from 0 to the end of the motion."""
-    assert loaded.case.flow is not None
     series = series_of_case(loaded.case.flow.spec(), loaded.path.parent)
     chosen = paths.take(np.arange(paths.size))
     if np.any(chosen != np.round(chosen)) or chosen.min() < 0 or chosen.max() >= len(series):

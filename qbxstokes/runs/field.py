@@ -58,7 +58,6 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
     loaded, clock = job.loaded, job.clock
     case = loaded.case
     section = case.field
-    assert section is not None
     # The other ranks plan as rank 0 did, which has found nothing wrong.
     instant = instant_of(section, (job.plan or plan_of(loaded)).simulation)
     work = FieldWork(job, job.comm, [instant], folder)
@@ -117,8 +116,6 @@ def field_of_motion(
     `help_with_field`.
     """
     loaded, section, time = job.loaded, job.loaded.case.field, job.loaded.case.time
-    assert section is not None
-    assert time is not None
     times = samples["time"]
     instants = [
         Instant(

@@ -94,7 +94,6 @@ def chosen_instants(loaded: LoadedCase, times: Array) -> list[int]:
     What lies beyond the end of a motion that an event ended is left out.
     """
     section = loaded.case.field
-    assert section is not None
     if section.every is not None:
         return list(range(0, len(times), section.every))
     if section.at is None:

@@ -107,7 +107,6 @@ class FieldWork:
     ) -> None:
         loaded = job.loaded
         section, interval = loaded.case.field, loaded.case.checkpoint.interval
-        assert section is not None
         every = interval.number if interval.unit == "seconds" else 30.0
         self.comm, self.section, self.clock, self.instants = comm, section, job.clock, instants
         self._job, self._key = job, key

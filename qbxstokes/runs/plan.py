@@ -197,13 +197,11 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
         )
         return Plan(scene, tuple(needs), skips)
     if case.task == "field":
-        assert case.field is not None
         points, parts = _points(targets_of(loaded, case.field))
         whose = "on the bodies" if case.bodies else "on the body"
         needs += parts + ([f"traction {whose}"] if case.field.surface is not None else [])
         return Plan(scene, tuple(needs), skips, points=points)
     needs.append("a solve for each right-hand side and each sample")
-    assert case.time is not None
     times = np.linspace(0.0, end_of(loaded), case.time.samples or _COUPLED_SAMPLES)
     if case.time.at is not None:
         times = np.array(case.time.at)
@@ -222,7 +220,6 @@ def plan_rheology(loaded: LoadedCase) -> Plan:
     """Plan of `task: rheology`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
     section = case.rheology
-    assert section is not None  # the schema makes one of defaults
     with pointed(loaded):
         scene = start_of(loaded)
         scene.check()
@@ -246,7 +243,6 @@ def _points(targets: Sequence[Targets]) -> tuple[int, list[str]]:
 def plan_field(loaded: LoadedCase) -> Plan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
-    assert case.field is not None  # the schema requires it for this task
     start = start_of(loaded)
     with pointed(loaded):
         start.check()

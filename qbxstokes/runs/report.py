@@ -113,7 +113,6 @@ def flow_text(loaded: LoadedCase) -> str:
     """The flow's name, its keys with their values, given or not, and its degree."""
     from qbxstokes.flows import REGISTRY
 
-    assert loaded.case.flow is not None
     given = loaded.case.flow.spec()
     name = given.pop("type")
     unsaid = (None, True, False, inspect.Parameter.empty)

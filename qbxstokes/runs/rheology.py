@@ -71,7 +71,6 @@ def _computed(
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     case = loaded.case
     section = case.rheology
-    assert section is not None
     with clock.part("set-up"), _pointed(loaded):
         formed = hydrodynamics_of(scene, workshop, pushed=True)
     with clock.part("suspension"), _pointed(loaded):
@@ -117,7 +116,6 @@ def suspension_of(
     random: arguments of `langevin` beside or in the place of the case's.
     """
     section = loaded.case.rheology
-    assert section is not None
     axes, weights = orientations_of(loaded)
     common: dict[str, Any] = {
         "peclet_number": list(section.peclet_number if numbers is None else numbers),
@@ -171,7 +169,6 @@ def _pointed(loaded: LoadedCase) -> Iterator[None]:
 def orientations_of(loaded: LoadedCase) -> tuple[Any, Array | None]:
     """Axes (n, 3) at the start with weights (n,), or "isotropic"; raises CaseError."""
     section = loaded.case.rheology
-    assert section is not None
     given = section.orientations
     if given == ISOTROPIC:
         return ISOTROPIC, None

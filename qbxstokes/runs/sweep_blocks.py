@@ -106,8 +106,6 @@ class Scenes:
 
     def __init__(self, loaded: LoadedCase) -> None:
         assert loaded.space is not None
-        assert loaded.case.sweep is not None
-        assert loaded.case.time is not None
         self.loaded, self.space, self._time = loaded, loaded.space, loaded.case.time
         for name, right in _SINGLE.items():
             if getattr(loaded.case, name) != type(loaded.case).declared[name].default:
@@ -231,7 +229,6 @@ class Scenes:
     def quantities(self) -> tuple[str, ...]:
         """Those that are stored at every instant."""
         section = self.loaded.case.sweep
-        assert section is not None
         return self.scene(0).plan.quantities if section.store == "samples" else ()
 
     @property

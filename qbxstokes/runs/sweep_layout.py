@@ -28,7 +28,6 @@ class BodyScenes(Alone):
 
     def __init__(self, loaded: LoadedCase) -> None:
         super().__init__(loaded)
-        assert loaded.case.sweep is not None
         measure = loaded.case.sweep.measure
         self.turns = 1 if measure is None else 1 + measure.repeats
         # Without a flow a body neither moves nor has to be held.
@@ -46,7 +45,6 @@ class CoupledScenes(Alone):
 
     def __init__(self, loaded: LoadedCase) -> None:
         super().__init__(loaded)
-        assert loaded.case.sweep is not None
         if loaded.case.sweep.measure is not None:
             wrong = "has no meaning with a wall or several bodies"
             raise loaded.error("sweep.measure", wrong, "leave it out")

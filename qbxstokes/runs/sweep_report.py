@@ -100,7 +100,6 @@ def _means(scenes: Swept, path: str) -> Rows:
     if not stored or not isinstance(result, SweepResult):
         return
     section = scenes.loaded.case.sweep
-    assert section is not None
     yield "components", " ".join(STRESS[stored[0]].components)
     for name in stored:
         if math.prod(result.shapes[name]) > _MOST_NUMBERS:

@@ -189,7 +189,6 @@ class _Together:
         """A block, or what is to be mended of it; trajectories without a scene come last."""
         scenes, layout = self._scenes, self._layout
         sweep = scenes.loaded.case.sweep
-        assert sweep is not None
         simulations: list[Simulation] = []
         sound: list[AnyArray] = []
         lost: dict[int, str] = {}
