@@ -278,12 +278,12 @@ class Coupled:
 
         assert self.wall is not None
         degrees, x = self.degrees(c, points, True)
-        table = self.maps[c].harmonics.table(x, int(degrees.max()), True)
+        table = self.maps[c].harmonics.table(x, int(degrees.max()))
         found = np.zeros((len(points), 3)), np.zeros(len(points))
         body, heights = self.bodies[c], self.wall.height(points)
         normal = body.rotation.T @ self.wall.normal
-        most = min(table.values.shape[2], flow.shape[1])
-        given = table.points, table.values, flow, most, body.rotation, normal, body.size
+        most = min(table.shape[2], flow.shape[1])
+        given = x, table, flow, most, body.rotation, normal, body.size
         add_answers(*given, heights, np.arange(len(points)), *found)
         return found
 

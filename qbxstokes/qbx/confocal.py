@@ -13,7 +13,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.geometry.symmetric import PLACES
 from qbxstokes.typing import Array, ComplexArray, Integers
 
 
@@ -155,16 +154,15 @@ class Harmonics:
         force = 8.0 * np.pi * self._moments[0] * c[:3, 0, 0].real
         return np.concatenate([force, [d[1, 2] - d[2, 1], d[2, 0] - d[0, 2], d[0, 1] - d[1, 0]]])
 
-    def table(self, points: Array, degree: int, second: bool) -> Table:
-        """The harmonics up to a degree at points (P, 3) of the body frame; second derivatives."""
-        from qbxstokes.qbx.exterior_basis import tabulate
+    def table(self, points: Array, degree: int) -> Array:
+        """The harmonics up to a degree at points (P, 3) of the body frame, see `tabulate`."""
+        from qbxstokes.qbx.exterior_kernel import tabulate
 
-        orders = min(degree + 1, self.orders)
-        rows, columns, start = triangle(orders, degree)
-        values = np.empty((10 if second else 4, len(points), 2 * len(rows)))
-        points, k = np.ascontiguousarray(points), self.ratio_of_axes
-        tabulate(points, k, degree, orders, start, self.recurrence, second, values)
-        return Table(points, values, rows, columns)
+        orders, k = min(degree + 1, self.orders), self.ratio_of_axes
+        rows, _, start = triangle(orders, degree)
+        values = np.empty((10, len(points), 2 * len(rows)))
+        tabulate(points, k, degree, orders, start, self.recurrence, True, values)
+        return values
 
     @cached_property
     def start(self) -> Integers:
@@ -197,34 +195,3 @@ def triangle(orders: int, degree: int) -> tuple[Integers, Integers, Integers]:
     n, m = np.meshgrid(np.arange(degree + 1), np.arange(orders), indexing="ij")
     start = np.cumsum([0, *np.minimum(np.arange(degree) + 1, orders)])
     return m[n >= m], n[n >= m], start
-
-
-@dataclass(frozen=True)
-class Table:
-    """Values of the harmonics at points (P, 3), for any number of flows; see `tabulate`."""
-
-    points: Array
-    values: Array
-    rows: Integers
-    columns: Integers
-
-    def evaluate(self, c: ComplexArray, second: bool = False) -> dict[str, Array]:
-        """Velocity and pressure, with second derivatives all of WHAT but the stress."""
-        n, count = self.values.shape[:2]
-        flat = np.ascontiguousarray(c[:, self.rows, self.columns]).view(np.float64)
-        s = (self.values.reshape(n * count, -1) @ flat.T).reshape(n, count, 4)
-        first = s[1:4]
-        found = {
-            "velocity": s[0, :, :3]
-            + first[:, :, 3].T
-            - np.einsum("ipj,pj->pi", first[:, :, :3], self.points),
-            "pressure": -2.0 * np.einsum("ipi->p", first[:, :, :3]),
-        }
-        if second:
-            twice = s[4:][PLACES]  # (3, 3, P, 4)
-            gradient = np.einsum("jpi->pij", first[:, :, :3]) + np.moveaxis(twice[..., 3], 2, 0)
-            gradient -= np.einsum("ipj->pij", first[:, :, :3])
-            gradient -= np.einsum("ijpl,pl->pij", twice[..., :3], self.points)
-            found["gradient"] = gradient
-            found["pressure_gradient"] = -2.0 * np.einsum("ijpj->pi", twice[..., :3])
-        return found

@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from qbxstokes.geometry.grid import SurfaceGrid
+from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.qbx.confocal import Harmonics, triangle
 from qbxstokes.typing import Array, ComplexArray, Integers
 
@@ -36,8 +37,6 @@ WHAT: dict[str, tuple[int, ...]] = {
 SURFACE_MARGIN = 1e-12
 # Singular values of the single layer below this are its null space (the normal's pressure).
 _RANK_TOLERANCE = 1e-13
-# Numbers of a table of harmonics that is held at once.
-_TABLE_NUMBERS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -79,43 +78,34 @@ class ExteriorFlow:
         """
         from qbxstokes.qbx.exterior_kernel import evaluate
 
-        points = np.ascontiguousarray(points, dtype=float)
-        h, n = self.harmonics, len(points)
-        found = {name: np.empty((n, *WHAT[name])) for name in {"velocity", "pressure", *what}}
+        h, n, size = self.harmonics, len(points), self.amplitude
+        if {"gradient", "pressure_gradient"} & set(what):
+            size = size * (np.arange(len(size)) + 1.0)
+        u, p = np.empty((n, 3)), np.empty(n)
+        second = np.empty((n if set(what) - {"velocity", "pressure"} else 0, 12))
         evaluate(
-            points,
+            np.ascontiguousarray(points, dtype=float),
             h.ratio_of_axes,
-            np.ascontiguousarray(np.moveaxis(self.coefficients, 0, -1)).view(np.float64),
+            h.packed(self.coefficients),
+            h.orders,
+            h.start,
             h.recurrence,
-            self.amplitude,
+            size,
             tolerance,
             SURFACE_MARGIN,
-            found["velocity"],
-            found["pressure"],
-            found.get("stress", np.empty((0, 6))),
+            u,
+            p,
+            second,
         )
-        derived = [name for name in ("gradient", "pressure_gradient") if name in what]
-        if derived:
-            outside = np.flatnonzero(~np.isnan(found["pressure"]))
-            for name in derived:
-                found[name][:] = np.nan
-            # Near points first, so that the others need few degrees.
-            decay = h.shape.decay(points[outside])
-            order, size = outside[np.argsort(-decay)], 20 * h.orders * (h.degree + 1)
-            for part in np.array_split(order, max(1, -(-len(order) * size // _TABLE_NUMBERS))):
-                if part.size:
-                    degree = self._degree(float(h.shape.decay(points[part]).max()), tolerance)
-                    values = h.table(points[part], degree, True).evaluate(self.coefficients, True)
-                    for name in derived:
-                        found[name][part] = values[name]
+        found = {"velocity": u, "pressure": p}
+        even, odd = second[:, :6], second[:, 6:9]
+        if "gradient" in what:
+            found["gradient"] = symmetric(even) + np.cross(odd[:, None], np.eye(3))
+        if "pressure_gradient" in what:
+            found["pressure_gradient"] = second[:, 9:]
+        if "stress" in what:
+            found["stress"] = 2.0 * even - np.multiply.outer(p, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         return found
-
-    def _degree(self, decay: float, tolerance: float) -> int:
-        """Degree that leaves out of the velocity's derivatives less than tolerance, in all."""
-        n = np.arange(self.harmonics.degree + 1)
-        tail = np.cumsum((self.amplitude * (n + 1.0) * decay ** (n + 1.0))[::-1])[::-1]
-        needed = np.flatnonzero(tail > tolerance)
-        return max(1, int(needed[-1])) if needed.size else 1
 
 
 @dataclass(frozen=True)

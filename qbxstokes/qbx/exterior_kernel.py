@@ -147,32 +147,97 @@ def second_derivatives(w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh):  #
     )
 
 
-@njit(cache=compiled_are_kept())
-def evaluate(  # type: ignore[no-untyped-def]
-    points, k, coefficients, recurrence, amplitude, tolerance, margin, velocity, pressure, stress
-):
-    """Velocity, pressure and stress of u = B + grad(C - x . B), x held fixed, at points (N, 3).
+@njit(inline="always")
+def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
+    """Real part and minus the imaginary part of a value, in two columns."""
+    table[row, i, column], table[row, i, column + 1] = value.real, -value.imag
 
-    k: equatorial semi-axis, in units of the polar one.
-    coefficients (orders, degree + 1, 8): those of B_x, B_y, B_z, C on the harmonics E_nm, real and
-    imaginary part each; of their sum the real part is taken. recurrence: of `Harmonics`. amplitude
-    (degree + 1): size of the terms of each degree on the surface; at a point, degrees whose sum
-    stays below tolerance are left out.
-    The pressure is -2 div B and the stress 2 I div B + 2 grad grad (C - x . B)
-    (Papkovich and Neuber; Kim & Karrila 1991, sec. 4.2). stress: xx, yy, zz, xy, xz, yz, of no
-    points where it is not wanted. Points inside the surface by more than margin (in the sum of
-    squares that is 1 on it) get NaN.
+
+@njit(cache=compiled_are_kept(), fastmath=True, inline="always")
+def tabulate(points, k, degree, orders, start, recurrence, second, table):  # type: ignore[no-untyped-def]
+    """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
+
+    Rows: E, its three first derivatives and, if second, xx, yy, zz, xy, xz, yz. Columns: real part
+    and minus the imaginary part of E_nm for n <= degree, m <= n, m < orders, m fastest, degree n
+    from the harmonic start[n] on, so that Re(sum c E) is the product with the real and imaginary
+    parts of c, interleaved.
     """
     inverse_ratio, rise, fall, diagonal = recurrence
-    e2, with_stress = (1.0 - k) * (1.0 + k), stress.shape[0] > 0
-    orders, top = coefficients.shape[0], coefficients.shape[1] - 1
-    used = np.zeros((orders, top + 1), dtype=np.bool_)
-    for m in range(orders):
-        for n in range(m, top + 1):
-            used[m, n] = np.any(coefficients[m, n] != 0.0)
-    # Sums over n of c E_nm and of its derivatives in gamma (g) and eta (h): E, g, h, gg, gh, hh.
-    parts, ratio = np.zeros((6, 8)), np.zeros((orders, top + 2))
-    sums = parts.view(np.complex128)
+    e2 = (1.0 - k) * (1.0 + k)
+    ratio, nothing = np.zeros((orders, degree + 2)), complex(0.0, 0.0)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        rho2 = x * x + y * y
+        alpha2, gamma, delta = confocal(rho2, z, e2)
+        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
+        all_ratios(orders, degree, gamma, alpha, e2, ratio)
+        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
+        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
+        zk, w, w1, w2 = complex(x, y) / k, complex(1.0, 0.0), nothing, nothing
+        first = 1.0
+        for m in range(orders):
+            q = first
+            p, pd, pdd = diagonal[m], 0.0, 0.0
+            p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
+            for n in range(m, degree + 1):
+                column, before = 2 * (start[n] + m), q * inverse_ratio[m, n]
+                q = before * ratio[m, n]
+                qg = ((n - m) * gamma * q - max(n + m, 1) * before) / alpha2
+                f, fg, fh = q * p, qg * p, q * pd
+                l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
+                put(table, 0, i, column, w * f)
+                put(table, 1, i, column, w * l[0] + w1 * f)
+                put(table, 2, i, column, w * l[1] + w1 * 1j * f)
+                put(table, 3, i, column, w * l[2])
+                if second:
+                    qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
+                    fgg, fgh, fhh = qgg * p, qg * pd, q * pdd
+                    xx, yy, zz, xy, xz, yz = second_derivatives(
+                        w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
+                    )
+                    put(table, 4, i, column, xx)
+                    put(table, 5, i, column, yy)
+                    put(table, 6, i, column, zz)
+                    put(table, 7, i, column, xy)
+                    put(table, 8, i, column, xz)
+                    put(table, 9, i, column, yz)
+                up, down = rise[m, n], fall[m, n]
+                p, p_last, pd, pd_last, pdd, pdd_last = (
+                    *(up * eta * p - down * p_last, p),
+                    *(up * (eta * pd + p) - down * pd_last, pd),
+                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
+                )
+            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
+            first *= k * k / alpha2
+
+
+@njit(cache=compiled_are_kept(), fastmath={"reassoc", "contract", "arcp", "nsz"})
+def evaluate(  # type: ignore[no-untyped-def]
+    points,
+    k,
+    c,
+    orders,
+    start,
+    recurrence,
+    amplitude,
+    tolerance,
+    margin,
+    velocity,
+    pressure,
+    second,
+):
+    """Velocity, pressure and derivatives of u = B + grad(C - x . B), x held, at points (N, 3).
+
+    c (4, 2 K): packed coefficients of B_x, B_y, B_z and C; k, orders, start, recurrence: as in
+    `tabulate`. amplitude (degree + 1): size of the terms of each degree on the surface; at a point,
+    degrees whose sum stays below tolerance are left out. The pressure is -2 div B and the gradient
+    d_j u_i = d_i d_j (C - x . B) + d_j B_i - d_i B_j (Papkovich and Neuber; Kim & Karrila 1991,
+    sec. 4.2). second (N, 12), or (0, 12): its even part xx, yy, zz, xy, xz, yz, its odd part yz,
+    zx, xy, and the pressure's gradient. Points inside the surface by more than margin (in the sum
+    of squares that is 1 on it) get NaN.
+    """
+    e2, with_second, top = (1.0 - k) * (1.0 + k), second.shape[0] > 0, amplitude.shape[0] - 1
+    table = np.empty((10 if with_second else 4, 1, c.shape[1]))
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         rho2 = x * x + y * y
@@ -180,89 +245,51 @@ def evaluate(  # type: ignore[no-untyped-def]
         if not (rho2 / (k * k) + z * z >= 1.0 - margin):
             velocity[i, :] = np.nan
             pressure[i] = np.nan
-            if with_stress:
-                stress[i, :] = np.nan
+            if with_second:
+                second[i, :] = np.nan
             continue
-        alpha2, gamma, delta = confocal(rho2, z, e2)
-        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
-        decay, degree = (1.0 + k) / (gamma + alpha), top
+        degree = top
         if tolerance > 0.0:
-            tail, power = 0.0, decay ** (top + 1)
+            alpha2, gamma, _ = confocal(rho2, z, e2)
+            decay, tail = (1.0 + k) / (gamma + math.sqrt(alpha2)), 0.0
+            power = decay ** (top + 1)
             while degree > 1:
                 tail += amplitude[degree] * power
                 if tail > tolerance:
                     break
                 power /= decay
                 degree -= 1
-        n_orders = min(orders, degree + 1)
-        all_ratios(n_orders, degree, gamma, alpha, e2, ratio)
-        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
-        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
-        ux, uy, uz, div = 0.0, 0.0, 0.0, 0.0
-        fxx, fyy, fzz, fxy, fxz, fyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        zk = complex(x, y) / k
-        w, w1, w2 = complex(1.0, 0.0), complex(0.0, 0.0), complex(0.0, 0.0)
-        start = 1.0  # (k / alpha)^(2 m)
-        for m in range(n_orders):
-            parts[:] = 0.0
-            q = start
-            p, pd, pdd = diagonal[m], 0.0, 0.0
-            p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
-            for n in range(m, degree + 1):
-                r = ratio[m, n]
-                q *= r * inverse_ratio[m, n]
-                if used[m, n]:
-                    qg = q * ((n - m) * gamma - max(n + m, 1) / r) / alpha2
-                    e, eg, eh = q * p, qg * p, q * pd
-                    for j in range(8):
-                        c = coefficients[m, n, j]
-                        parts[0, j] += e * c
-                        parts[1, j] += eg * c
-                        parts[2, j] += eh * c
-                    if with_stress:
-                        qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
-                        egg, egh, ehh = qgg * p, qg * pd, q * pdd
-                        for j in range(8):
-                            c = coefficients[m, n, j]
-                            parts[3, j] += egg * c
-                            parts[4, j] += egh * c
-                            parts[5, j] += ehh * c
-                up, down = rise[m, n], fall[m, n]
-                p, p_last, pd, pd_last, pdd, pdd_last = (
-                    *(up * eta * p - down * p_last, p),
-                    *(up * (eta * pd + p) - down * pd_last, pd),
-                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
-                )
-            b0, b1, b2 = sums[0, 0], sums[0, 1], sums[0, 2]
-            bg0, bg1, bg2 = sums[1, 0], sums[1, 1], sums[1, 2]
-            bh0, bh1, bh2 = sums[2, 0], sums[2, 1], sums[2, 2]
-            f = sums[0, 3] - x * b0 - y * b1 - z * b2
-            fg = sums[1, 3] - x * bg0 - y * bg1 - z * bg2
-            fh = sums[2, 3] - x * bh0 - y * bh1 - z * bh2
-            l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
-            ux += (w * (b0 + l[0]) + w1 * f).real
-            uy += (w * (b1 + l[1]) + w1 * 1j * f).real
-            uz += (w * (b2 + l[2])).real
-            slope = bg0 * g[0] + bh0 * h[0] + bg1 * g[1] + bh1 * h[1]
-            slope += bg2 * g[2] + bh2 * h[2]
-            div += (w * slope + w1 * (b0 + 1j * b1)).real
-            if with_stress:
-                fgg = sums[3, 3] - x * sums[3, 0] - y * sums[3, 1] - z * sums[3, 2]
-                fgh = sums[4, 3] - x * sums[4, 0] - y * sums[4, 1] - z * sums[4, 2]
-                fhh = sums[5, 3] - x * sums[5, 0] - y * sums[5, 1] - z * sums[5, 2]
-                xx, yy, zz, xy, xz, yz = second_derivatives(
-                    w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
-                )
-                fxx, fyy, fzz = fxx + xx.real, fyy + yy.real, fzz + zz.real
-                fxy, fxz, fyz = fxy + xy.real, fxz + xz.real, fyz + yz.real
-            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
-            start *= k * k / alpha2
-        velocity[i, 0], velocity[i, 1], velocity[i, 2] = ux, uy, uz
+        few = min(orders, degree + 1)
+        tabulate(points[i : i + 1], k, degree, few, start, recurrence, with_second, table)
+        u, v, w, div = 0.0, 0.0, 0.0, 0.0
+        xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        s0, s1, s2, p0, p1, p2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(2 * (start[degree] + few)):
+            b0, b1, b2 = c[0, j], c[1, j], c[2, j]
+            s = c[3, j] - x * b0 - y * b1 - z * b2
+            e, g0, g1, g2 = table[0, 0, j], table[1, 0, j], table[2, 0, j], table[3, 0, j]
+            u += e * b0 + g0 * s
+            v += e * b1 + g1 * s
+            w += e * b2 + g2 * s
+            div += g0 * b0 + g1 * b1 + g2 * b2
+            if with_second:
+                h0, h1, h2 = table[4, 0, j], table[5, 0, j], table[6, 0, j]
+                h3, h4, h5 = table[7, 0, j], table[8, 0, j], table[9, 0, j]
+                xx, yy, zz = xx + h0 * s, yy + h1 * s, zz + h2 * s
+                xy, xz, yz = xy + h3 * s, xz + h4 * s, yz + h5 * s
+                s0 += b1 * g2 - b2 * g1
+                s1 += b2 * g0 - b0 * g2
+                s2 += b0 * g1 - b1 * g0
+                p0 += h0 * b0 + h3 * b1 + h4 * b2
+                p1 += h3 * b0 + h1 * b1 + h5 * b2
+                p2 += h4 * b0 + h5 * b1 + h2 * b2
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = u, v, w
         pressure[i] = -2.0 * div
-        if with_stress:
-            stress[i, 0], stress[i, 3] = 2.0 * (div + fxx), 2.0 * fxy
-            stress[i, 1], stress[i, 4] = 2.0 * (div + fyy), 2.0 * fxz
-            stress[i, 2], stress[i, 5] = 2.0 * (div + fzz), 2.0 * fyz
+        if with_second:
+            second[i, 0], second[i, 1], second[i, 2] = xx, yy, zz
+            second[i, 3], second[i, 4], second[i, 5] = xy, xz, yz
+            second[i, 6], second[i, 7], second[i, 8] = s0, s1, s2
+            second[i, 9], second[i, 10], second[i, 11] = -2.0 * p0, -2.0 * p1, -2.0 * p2
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
