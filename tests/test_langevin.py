@@ -13,9 +13,10 @@ import pytest
 import qbxstokes as qs
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.motion import random_turns
+from qbxstokes.motion.random_turns import turned_axes, variance
 from qbxstokes.simulation.rheology import linear_flow
 from qbxstokes.suspension.fokker_planck import Transport
-from qbxstokes.suspension.langevin import isotropic_axes, turned, uniform, variance
+from qbxstokes.suspension.langevin import isotropic_axes, uniform
 
 SHEAR = qs.flow("shear")
 
@@ -35,7 +36,7 @@ def test_turns_decay_as_diffusion_says() -> None:
     """<p.p0> = exp(-2 D h) and <P2> = exp(-6 D h) up to the third power of D h, in every place."""
     p = isotropic_axes(0, 0, 400_000)
     for h in (0.02, 0.1):
-        moved = turned(p, variance(1.0, h), uniform(0, 0, len(p), 0))
+        moved = turned_axes(p, variance(1.0, h), uniform(0, 0, len(p), 0))
         assert np.abs(np.linalg.norm(moved, axis=1) - 1.0).max() < 1e-14
         cosine = np.sum(moved * p, axis=1)
         for mean, rate in ((cosine, 2.0), (1.5 * cosine**2 - 0.5, 6.0)):

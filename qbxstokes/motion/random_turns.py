@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qbxstokes.typing import Array
+
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _FACTORS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
@@ -67,3 +69,17 @@ def turned(x: Any, y: Any, z: Any, spread: float, one: Any, two: Any) -> Any:
     w = -cosine * sign * x - sine * y
     c, s = np.cos(angle), np.sin(angle)
     return c * x + s * u, c * y + s * v, c * z + s * w
+
+
+def turned_axes(p: Array, spread: float, u: Array) -> Array:
+    """Axes (n, 3) turned by normal angles of variance `spread` about both axes across them."""
+    x, y, z = p.T
+    return np.stack(turned(x, y, z, spread, u[:, 0], u[:, 1]), axis=1)
+
+
+def kicks(p: Array, sizes: Array, u: Array) -> Array:
+    """Normal displacements (n, 3) of axes p (n, 3), of sizes (2,) across and along them."""
+    radius, angle = np.sqrt(-2.0 * np.log(u[:, ::2])), 2.0 * np.pi * u[:, 1::2]
+    normal = np.stack([*(radius * np.cos(angle)).T, (radius * np.sin(angle))[:, 0]], axis=1)
+    lengthwise = np.sum(normal * p, axis=1)[:, None] * p
+    return np.asarray(sizes[0] * normal + (sizes[1] - sizes[0]) * lengthwise)

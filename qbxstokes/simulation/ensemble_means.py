@@ -8,7 +8,7 @@ import numpy as np
 
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.showing import shown
+from qbxstokes.simulation.result import shown
 from qbxstokes.typing import AnyArray, Array, Integers
 
 Sums = dict[str, AnyArray]

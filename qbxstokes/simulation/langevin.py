@@ -13,14 +13,14 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.result import shown
 from qbxstokes.simulation.rheology import (
+    asked_of,
     history_of,
     linear_flow,
     particle_of,
-    peclet_numbers,
     starts_of,
 )
-from qbxstokes.simulation.showing import shown
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
 from qbxstokes.suspension.particle import History, Protocol
@@ -110,25 +110,26 @@ def langevin(
     >>> bool(abs(mean - exact) < 4.0 * error)
     True
     """
-    numbers = peclet_numbers(body, peclet_number)
-    if not np.all(np.isfinite(numbers)):
-        raise SceneError("peclet_number", f"is {numbers.tolist()}", "positive and finite")
-    if trajectories < 2:
-        raise SceneError("trajectories", f"are {trajectories}", "2 or more, to tell an error")
-    if not 0 <= paths <= trajectories:
-        raise SceneError("paths", f"are {paths}", f"from 0 to the {trajectories} trajectories")
+    random = {"trajectories": trajectories, "strain": strain, "step": step, "seed": seed}
+    random |= {"paths": paths, "translation": translation}
+    asked = asked_of(
+        body,
+        peclet_number,
+        protocol=protocol,
+        times=times,
+        amplitude=amplitude,
+        frequency=frequency,
+        langevin={key: value for key, value in random.items() if value is not None},
+    )
+    numbers = np.reshape(asked.peclet_number, np.shape(peclet_number))
     if np.any(body.stokes_number):
         wrong = f"is {np.max(body.stokes_number):g}"
         raise SceneError("stokes_number", wrong, "0: Brownian motion is that of massless bodies")
     homogeneous = linear_flow(flow, position)
-    history = history_of(protocol, times, amplitude, frequency, homogeneous.rate)
-    if protocol != "startup":
-        for name, wanted in (("translation", translation), ("orientations", orientations)):
-            if not isinstance(wanted, (str, bool)) or wanted not in (False, "isotropic"):
-                raise SceneError(name, f"has no meaning for {protocol}", "protocol: startup")
-    if protocol == "steady" and paths:
-        raise SceneError("paths", "have no meaning for steady", "a protocol with times")
+    history = history_of(asked, homogeneous.rate)
     starts = starts_of(orientations, None, np.full(1, np.inf)).axes
+    if starts is not None and protocol != "startup":
+        raise SceneError("orientations", f"have no meaning for {protocol}", "protocol: startup")
     particle, _ = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
     found, steps = [], []

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.means import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
-from qbxstokes.simulation.showing import shown
 from qbxstokes.simulation.watching import ending, events_summary, split_columns
 from qbxstokes.typing import Array
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.assembly import Assembled
     from qbxstokes.simulation.lanes import LaneRun
 
+# Numbers that a terminal shows themselves, not their shape.
+_FEW = 9
 # What a summary tells of a flow.
 _FLOW = ("neglected", "recognised", "coarsest_nodes", "finest_nodes")
 
@@ -262,3 +264,18 @@ def integration_facts(trajectory: Any) -> dict[str, Any]:
         **({"flow_samples": trajectory.flow_samples} if trajectory.flow_samples else {}),
         **({"changed": record.changed} if record.changed else {}),
     }
+
+
+def shown(heading: str, arrays: Mapping[str, ArrayLike], summary: Mapping[str, Any]) -> str:
+    """The heading, short arrays with their numbers, the shapes of others, names in the summary."""
+    few: list[str] = []
+    shapes: dict[tuple[int, ...], list[str]] = {}
+    for name, value in arrays.items():
+        found = np.asarray(value)
+        if found.ndim < 2 and found.size <= _FEW:
+            few.append(f"{name} {' '.join(f'{number:.6g}' for number in found.ravel())}")
+        else:
+            shapes.setdefault(found.shape, []).append(name)
+    whole = [f"{', '.join(names)} {shape}" for shape, names in shapes.items()]
+    told = [f"summary: {', '.join(summary)}"] if summary else []
+    return "\n  ".join([f"<{heading}>", *few, *whole, *told])

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from qbxstokes.case.rheology import RheologySection
+from qbxstokes.case.values import Problem
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.motion.averages import ShearFrame
@@ -16,13 +18,13 @@ from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
-from qbxstokes.simulation.showing import shown
+from qbxstokes.simulation.result import shown
 from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.fokker_planck import Evolution, Transport, converged, isotropic
 from qbxstokes.suspension.orbits import Starts
-from qbxstokes.suspension.particle import PROTOCOLS, History, LinearFlow, Particle, Protocol
+from qbxstokes.suspension.particle import History, LinearFlow, Particle, Protocol
 from qbxstokes.typing import Array
 
 # Instants of a transient or a cycle, and the strain that a transient covers, where nobody says.
@@ -94,17 +96,18 @@ def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
     return LinearFlow(gradient, rate, ShearFrame.of(gradient).shear)
 
 
-def peclet_numbers(body: Body, given: ArrayLike) -> Array:
-    """Peclet numbers () or (n,) of a suspension of a body; raises SceneError for what is none."""
+def asked_of(body: Body, peclet_number: ArrayLike, **keys: Any) -> RheologySection:
+    """Section `rheology` of the case that asks the same; raises SceneError for what it refuses."""
     if not hasattr(body, "stokes_number"):
         raise SceneError("body", f"is {body!r}", "a body such as qs.Body(0.2)")
+    keys |= {"peclet_number": np.atleast_1d(np.asarray(peclet_number, dtype=object)).tolist()}
+    if keys["times"] is not None:
+        keys["times"] = np.atleast_1d(np.asarray(keys["times"])).tolist()
     try:
-        numbers = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.ndim > 1 or not numbers.size or not np.all(numbers > 0.0):
-        raise SceneError("peclet_number", f"is {given!r}", "positive, one or a list")
-    return numbers
+        return RheologySection.read({key: v for key, v in keys.items() if v is not None})
+    except Problem as problem:
+        key = ".".join(str(part) for part in problem.key if part != "langevin")
+        raise SceneError(key, problem.wrong, problem.right) from None
 
 
 def rheology(
@@ -140,9 +143,19 @@ def rheology(
     >>> np.round(found.intrinsic_viscosity, 6)
     array([5.806206, 5.748197, 3.108525])
     """
-    if not 1e-12 <= tolerance <= 0.1:
+    asked = asked_of(
+        body,
+        peclet_number,
+        protocol=protocol,
+        times=times,
+        amplitude=amplitude,
+        frequency=frequency,
+        settling=settling,
+        tolerance=tolerance,
+    )
+    if tolerance < 1e-12:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
-    numbers = peclet_numbers(body, peclet_number)
+    numbers = np.reshape(asked.peclet_number, np.shape(peclet_number))
     starts = starts_of(orientations, weights, numbers)
     if np.any(body.stokes_number) and (np.any(np.isfinite(numbers)) or protocol != "steady"):
         right = "0: inertial bodies take peclet_number: inf and protocol: steady"
@@ -150,7 +163,7 @@ def rheology(
     homogeneous = linear_flow(flow, position)
     particle, error = particle_of(body, workshop)
     transport = Transport(homogeneous, particle.linear)
-    history = history_of(protocol, times, amplitude, frequency, homogeneous.rate)
+    history = history_of(asked, homogeneous.rate)
     if np.any(body.stokes_number):
         means = inertial_means(body, flow, starts, homogeneous.rate, settling, tolerance)
         nothing = np.zeros((3, 3))
@@ -215,47 +228,17 @@ def starts_of(orientations: ArrayLike | str, weights: ArrayLike | None, numbers:
     return Starts(axes / lengths[:, None], share)
 
 
-def history_of(
-    protocol: Protocol,
-    times: ArrayLike | None,
-    amplitude: float | None,
-    frequency: float | None,
-    rate: float,
-) -> History:
-    """The history of a flow of this rate; raises SceneError for keys that make none."""
-    if protocol not in PROTOCOLS:
-        raise SceneError("protocol", f"is {protocol!r}", ", ".join(PROTOCOLS))
-    cycle = _cycle(protocol, amplitude, frequency, rate)
-    if protocol == "steady":
-        if times is not None:
-            raise SceneError("times", "have no meaning for steady", "leave them out")
-        return History(protocol)
-    if times is None:
+def history_of(asked: RheologySection, rate: float) -> History:
+    """The history of a flow of this rate."""
+    cycle, instants = None, asked.times
+    if asked.protocol == "steady":
+        return History(asked.protocol)
+    if asked.protocol == "oscillation":
+        cycle = asked.frequency / rate if asked.frequency else 1.0 / (asked.amplitude or 1.0)
+    if instants is None:
         end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
-        return History(protocol, np.linspace(0.0, end, SAMPLES), cycle)
-    instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
-    if instants.ndim != 1 or instants[0] < 0.0 or not np.all(np.diff(instants) > 0.0):
-        raise SceneError("times", f"have shape {instants.shape}", "increasing instants from 0 on")
-    return History(protocol, instants, cycle)
-
-
-def _cycle(
-    protocol: str, amplitude: float | None, frequency: float | None, rate: float
-) -> float | None:
-    """Angular frequency over the rate, of an oscillation."""
-    given = {"amplitude": amplitude, "frequency": frequency}
-    named = [name for name, value in given.items() if value is not None]
-    if protocol != "oscillation":
-        if named:
-            raise SceneError(named[0], f"has no meaning for {protocol}", "leave it out")
-        return None
-    if len(named) != 1:
-        wrong = "is missing" if not named else "is given besides frequency"
-        raise SceneError("amplitude", wrong, "amplitude or frequency: their product is the rate")
-    value = given[named[0]]
-    if value is None or not (value > 0.0 and np.isfinite(value)):
-        raise SceneError(named[0], f"is {value}", "more than 0")
-    return 1.0 / value if amplitude is not None else value / rate
+        return History(asked.protocol, np.linspace(0.0, end, SAMPLES), cycle)
+    return History(asked.protocol, np.array(instants), cycle)
 
 
 def _one(

@@ -33,6 +33,7 @@ from qbxstokes.simulation.arguments import (
 )
 from qbxstokes.simulation.assembly import Assembled, assemble
 from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.lanes import check_brownian
 from qbxstokes.simulation.result import Motion
 from qbxstokes.typing import Array, Indices
 
@@ -111,8 +112,6 @@ class Simulation:
         self.tolerance = accepted(tolerance)
         self.numbers = np.arange(len(self.position), dtype=np.uint64)
         if brownian is not None:
-            from qbxstokes.simulation.brownian import check_brownian
-
             self.brownian = section("brownian", Brownian, brownian)
             check_brownian(self)
 

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qbxstokes.geometry.symmetric import PAIRS, components, symmetric
-from qbxstokes.motion import random_turns
-from qbxstokes.motion.random_turns import MOST_VARIANCE, variance
+from qbxstokes.motion.random_turns import MOST_VARIANCE, kicks, turned_axes, variance
 from qbxstokes.motion.stress import stresslets
 from qbxstokes.suspension.fokker_planck import Transport
 from qbxstokes.suspension.particle import History, Particle
@@ -146,7 +145,7 @@ class Ensemble:
                 spread = variance(self.diffusivity, durations[step - 1])
                 before, after = flows.turns[:, step - 1]
                 q = _moved(p, before)
-                p = turned(q, spread, uniform(self.seed, first, count, step))
+                p = turned_axes(q, spread, uniform(self.seed, first, count, step))
                 if self.dispersion is not None:
                     one, two = flows.shifts[:, step - 1]
                     sizes = np.sqrt(np.array(self.dispersion) * durations[step - 1])
@@ -226,20 +225,6 @@ def isotropic_axes(seed: int, first: int, count: int) -> Array:
     z, angle = 2.0 * u[:, 0] - 1.0, 2.0 * np.pi * u[:, 1]
     radius = np.sqrt((1.0 - z) * (1.0 + z))
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-
-def turned(p: Array, spread: float, u: Array) -> Array:
-    """Axes (n, 3) turned by normal angles of variance `spread` about both axes across them."""
-    x, y, z = p.T
-    return np.stack(random_turns.turned(x, y, z, spread, u[:, 0], u[:, 1]), axis=1)
-
-
-def kicks(p: Array, sizes: Array, u: Array) -> Array:
-    """Normal displacements (n, 3) of axes p (n, 3), of sizes (2,) across and along them."""
-    radius, angle = np.sqrt(-2.0 * np.log(u[:, ::2])), 2.0 * np.pi * u[:, 1::2]
-    normal = np.stack([*(radius * np.cos(angle)).T, (radius * np.sin(angle))[:, 0]], axis=1)
-    lengthwise = np.sum(normal * p, axis=1)[:, None] * p
-    return np.asarray(sizes[0] * normal + (sizes[1] - sizes[0]) * lengthwise)
 
 
 def _moved(p: Array, half: Array) -> Array:

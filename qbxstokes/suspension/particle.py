@@ -11,7 +11,6 @@ import numpy as np
 from qbxstokes.typing import Array
 
 Protocol = Literal["steady", "startup", "cessation", "oscillation"]
-PROTOCOLS = ("steady", "startup", "cessation", "oscillation")
 
 
 @dataclass(frozen=True)
