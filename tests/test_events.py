@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import qbxstokes as qs
 from qbxstokes.bie.functional import BodyModel, FaxenCoefficients, Resistance
 from qbxstokes.flows import build_flow
 from qbxstokes.flows.domain import channel, tube
@@ -25,6 +26,7 @@ from qbxstokes.motion.events import (
     turning_point,
 )
 from qbxstokes.motion.roots import root
+from qbxstokes.petsc.leaps import Leaps
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk
 from qbxstokes.reference import faxen, jeffery
@@ -191,3 +193,33 @@ def test_a_passing_touch_between_the_ends_of_a_step_is_seen() -> None:
         assert events.ended[0] == "domain_exit"
         axis = rotation.axis(found.states[-1, 0, 3:7])
         assert math.sqrt(0.01 + 0.99 * axis[1] ** 2) == pytest.approx(height, abs=1e-7)
+
+
+@pytest.mark.parametrize("stokes", [0.0, 2.0])
+@pytest.mark.parametrize("flow", ["shear", "pulse", "jump", "paraboloid"])
+def test_steps_that_nobody_looks_at_are_the_same(
+    flow: str, stokes: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rate(t: float) -> float:
+        return (
+            2.0 if flow == "jump" and t > 3.3 else 1.0 + 30.0 * np.exp(-(((t - 7.3) / 0.02) ** 2))
+        )
+
+    kind = flow if flow in ("shear", "paraboloid") else "linear"
+    keys = {} if kind == flow else {"gradient": lambda t: [[0, rate(t), 0], [0, 0, 0], [0, 0, 0]]}
+    body, found = qs.Body(0.2, stokes_number=stokes), []
+    start = {"position": [0, 0.5, 0], "orientation": [0.48, 0.6, 0.64]}
+    for leaps in (Leaps.of, lambda *_: None):
+        monkeypatch.setattr(Leaps, "of", leaps)
+        assembled = qs.Simulation(body, qs.flow(kind, **keys), **start, tolerance=1e-7).assemble()
+        assembled.equations.evaluation = "compiled"
+        found.append(assembled.motion([0.0, 5.0, 5.1, 20.0]))
+    one, other = found
+    assert one.steps > 10
+    assert one.summary == other.summary
+    for name in ("position", "orientation", "angular_velocity"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert one.events.keys() == other.events.keys()
+    for name, columns in one.events.items():
+        for column, values in columns.items():
+            assert np.array_equal(values, other.events[name][column], equal_nan=True)

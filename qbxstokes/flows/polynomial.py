@@ -270,10 +270,14 @@ class PolynomialFlow(Flow):
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3)."""
+        if self.degree <= 1:
+            return np.broadcast_to(self.gradient_tensor, (*np.shape(x)[:-1], 3, 3))
         return self.derivatives(x)[1]
 
     def odd_about(self, x: ArrayLike) -> Booleans:
         """Whether u(x + r) = -u(x - r) for all r, exactly, shape (...)."""
+        if self.degree <= 1:
+            return np.asarray(~np.any(self.velocity(x), axis=-1))
         u, _, hessian, _ = self.derivatives(x)
         return np.asarray(~(np.any(u, axis=-1) | np.any(hessian, axis=(-3, -2, -1))))
 

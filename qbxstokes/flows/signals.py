@@ -244,6 +244,11 @@ class Sampled:
             math.inf if jump == len(self._jumps) else self._jumps[jump],
         )
 
+    def seen(self, t: float) -> tuple[Array, float]:
+        """The edges that end steps by `near`, and how far they are known from t without a jump."""
+        known = math.inf if self.edges[-1] >= self.end else float(self.edges[-1])
+        return np.empty(0) if self._exact is not None else self.edges, min(known, self.near(t)[1])
+
     def stops(self, longest: float) -> Array:
         """Instants at which steps end that are to see the function as far as it is known.
 

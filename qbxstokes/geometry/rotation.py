@@ -41,7 +41,7 @@ def normalize(q: ArrayLike) -> Array:
     if not np.all(np.isfinite(largest) & (largest > 0.0)):
         raise ValueError("a zero or non-finite quaternion is no rotation")
     scaled = array / largest  # so that tiny and huge quaternions neither underflow nor overflow
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+    return np.asarray(scaled / np.sqrt(np.add.reduce(scaled * scaled, axis=-1, keepdims=True)))
 
 
 def matrix(q: ArrayLike) -> Array:
@@ -69,15 +69,13 @@ def matrix(q: ArrayLike) -> Array:
 
 def axis(q: ArrayLike) -> Array:
     """Symmetry axis D3 in space, the third column of R(q). (..., 4) -> (..., 3)."""
-    q0, q1, q2, q3 = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-    return np.stack(
-        [
-            2.0 * (q1 * q3 + q0 * q2),
-            2.0 * (q2 * q3 - q0 * q1),
-            q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3,
-        ],
-        axis=-1,
-    )
+    given = np.asarray(q, dtype=np.float64)
+    q0, q1, q2, q3 = (given[..., i] for i in range(4))
+    found = np.empty((*given.shape[:-1], 3))
+    found[..., 0] = 2.0 * (q1 * q3 + q0 * q2)
+    found[..., 1] = 2.0 * (q2 * q3 - q0 * q1)
+    found[..., 2] = q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3
+    return found
 
 
 def to_space(q: ArrayLike, vector: ArrayLike) -> Array:

@@ -41,7 +41,7 @@ def compiled_loops(kernels: ModuleType, degree: int, massless: bool) -> Loops:
     put_in: dict[str, Any] = {name: getattr(kernels, name) for name in _OF_THE_LAW}
     put_in |= kernels.for_compiler(degree) | {"unpack_flow": taylor.UNPACK[degree]}
     if massless:
-        put_in["rate_of_lane"] = loops.massless_lane
+        put_in |= {"rate_of_lane": loops.massless_lane, "state_of_one": loops.massless_state}
     plain: dict[str, FunctionType] = {}
     namespace: dict[str, Any] = {}
 

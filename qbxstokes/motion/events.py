@@ -30,9 +30,9 @@ Row = Sequence[float]
 Function = Callable[[float, Row], float]
 
 # A step is cut in pieces in which the axis turns less than this (stretched angle, radians).
-_LARGEST_TURN = 1.0
+LARGEST_TURN = 1.0
 # Axes this near to the normal of the plane of turning do not pass through any plane.
-_STILL = 1e-8
+STILL = 1e-8
 
 
 @dataclass(frozen=True)
@@ -84,16 +84,16 @@ class Passage:
 
     def __post_init__(self) -> None:
         """Numbers for plain arithmetic."""
-        self._normal = self.normal.tolist()
-        self._across = np.cross(self.about, self.normal).tolist()
+        a, n = self.about.tolist(), self.normal.tolist()
+        across = (a[i - 2] * n[i - 1] - a[i - 1] * n[i - 2] for i in range(3))
+        self.planes = (*n, *across)
 
     def components(self, y: Row) -> tuple[float, float]:
         """Components of the axis along the normal and across it; zero for an axis at rest."""
         d1, d2, d3 = symmetry_axis(y[ORIENTATION])
-        n, a = self._normal, self._across
-        along = d1 * n[0] + d2 * n[1] + d3 * n[2]
-        across = d1 * a[0] + d2 * a[1] + d3 * a[2]
-        return (along, across) if math.hypot(along, across) > _STILL else (0.0, 0.0)
+        n1, n2, n3, a1, a2, a3 = self.planes
+        along, across = d1 * n1 + d2 * n2 + d3 * n3, d1 * a1 + d2 * a2 + d3 * a3
+        return (along, across) if math.hypot(along, across) > STILL else (0.0, 0.0)
 
     def value(self, t: float, y: Row) -> float:
         """Component along the normal, which changes sign at every passage."""
@@ -172,7 +172,12 @@ class Events(EventLog):
     @property
     def idle(self) -> bool:
         """Whether there is nothing to watch for."""
-        return not self._all and self.contacts is None
+        return self.seldom and self.passage is None
+
+    @property
+    def seldom(self) -> bool:
+        """Whether only steps in which the axis passes a plane have to be seen, if any."""
+        return not self.events and self.contacts is None
 
     def state(self) -> dict[str, Any]:
         """All that is remembered from step to step, as plain data for a checkpoint."""
@@ -226,7 +231,7 @@ class Events(EventLog):
         while todo:
             (t0, y0), (t1, y1) = done[-1], todo[-1]
             turn = abs(math.remainder(angle(y1) - angle(y0), 2.0 * math.pi))
-            if turn > _LARGEST_TURN and t1 - t0 > 1e-9 * (step.after - step.before):
+            if turn > LARGEST_TURN and t1 - t0 > 1e-9 * (step.after - step.before):
                 middle = 0.5 * (t0 + t1)
                 todo.append((middle, step.state(middle)[0].tolist()))
             else:

@@ -70,6 +70,11 @@ class FlowRows:
         assert self._sampled is not None
         return self._sampled.near(t)
 
+    def seen(self, t: float) -> tuple[Array, float]:
+        """What steps from t are to see, and how far they may go (`Sampled.seen`)."""
+        assert self._sampled is not None
+        return self._sampled.seen(t)
+
     def follow(self, other: "FlowRows") -> None:
         """Be as well known as the same flows of another block."""
         self._sampled, self._signal = other._sampled, other._signal

@@ -21,7 +21,7 @@ import numpy as np
 from qbxstokes.motion.fore_aft import N_NUMBERS, inertial, massless, unpack_body
 from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_INERTIAL, ORIENTATION, SPIN
-from qbxstokes.motion.taylor import N_FLOW, six, unpack_flow
+from qbxstokes.motion.taylor import N_FLOW, six, three, unpack_flow
 from qbxstokes.typing import Array
 
 TILE = 64
@@ -167,6 +167,40 @@ def rate_block(
         else:
             copy_back(r[_Q:], dydt[:_N_Q], start, count)
             copy_back(r[_W:], dydt[_N_Q:], start, count)
+
+
+def massless_state(s: Any, still: Any) -> Any:
+    """The state of the only lane from its numbers s, or from those that change."""
+    if still is None:
+        return three(s, 0) + three(s, 3) + (s[6],)
+    return three(still[:, 0], 0) + three(s, 0) + (s[3],)
+
+
+def inertial_state(s: Any, still: Any) -> Any:
+    """The same of a body with inertia."""
+    if still is None:
+        return six(s, 0) + six(s, 6) + (s[12],)
+    return three(still[:, 0], 0) + three(s, 0) + (s[3], 0.0, 0.0, 0.0) + three(s, 4)
+
+
+state_of_one = inertial_state  # as for `rate_of_lane`
+
+
+def single_block(
+    y: Any, dydt: Any, flow: Any, body: Any, loads: Any, rates: Any, follow: Any, still: Any
+) -> None:
+    """The same of a block of one lane: without tiles, which take longer than its rate."""
+    state = state_of_one(y[:, 0], still)
+    one_flow, one_body = unpack_flow(flow), unpack_body(body)
+    rate = rate_of_lane(state, one_flow, one_body, loads, loads, rates, rates, follow, 0)
+    if still is None:
+        for i in range(len(rate)):
+            dydt[i, 0] = rate[i]
+    else:
+        for i in range(_N_Q):
+            dydt[i, 0] = rate[_Q + i]
+        for i in range(_N_Q, len(dydt)):
+            dydt[i, 0] = rate[_W - _N_Q + i]
 
 
 def jacobian_block(

@@ -58,6 +58,8 @@ class Pieces:
     zero for St = 0.
     """
 
+    _mean_rate: tuple[Any, Array] = None, np.empty(0)  # the last one asked for
+
     def __init__(
         self,
         model: BodyModel | Sequence[BodyModel],
@@ -104,7 +106,6 @@ class Pieces:
         self.stiffness = np.zeros(n_lanes) if self.massless else rates.max(axis=0)
 
         self._flows: PerLane[Any] = PerLane(flow, n_lanes, _key_of_flow)
-        self._mean_rate: tuple[tuple[float, float], Array] | None = None
         self._table: Array | None = None
         self._provider: FreeMotion | None = None
         kinds = (PolynomialFlow, ChangingFlow)
@@ -141,8 +142,7 @@ class Pieces:
         """V and Omega (space frame), each (n_lanes, 3), in the states y (n_lanes, n_state)."""
         motion = np.zeros((self.n_lanes, 6))
         if self.massless or self._follow is not None:
-            driven = self._driven(t, y.T)
-            motion = np.stack([np.broadcast_to(u, (self.n_lanes,)) for u in driven], axis=-1)
+            motion = self._twists(self._driven(t, y.T))
         v, omega = motion[:, TRANSLATION], motion[:, ROTATION]
         if not self.massless:
             move, turn = self._follow or (0.0, 0.0)
@@ -160,6 +160,13 @@ class Pieces:
     def _rows(self, y: Array) -> Any:
         """Numbers of the one body (plain arithmetic is fastest on floats), or rows."""
         return y[:, 0].tolist() if self.n_lanes == 1 else y
+
+    def _twists(self, motion: Any) -> Array:
+        """Six numbers, or rows, as (n_lanes, 6)."""
+        found = np.empty((self.n_lanes, 6))
+        for j, row in enumerate(motion):
+            found[:, j] = row
+        return found
 
     def _vectors(self, vectors: Vectors, t: float) -> Array:
         value = vectors(t) if callable(vectors) else vectors
@@ -282,8 +289,8 @@ class Pieces:
         y[:, ORIENTATION] = rotation.normalize(np.broadcast_to(quaternion, (n, 4)))
         if not self.massless:
             y[:, RATES] = 0.0
-            free = np.stack([np.broadcast_to(u, (n,)) for u in self._driven(t, y.T)], axis=-1)
-            v, omega = np.array(free[:, TRANSLATION]), np.array(free[:, ROTATION])
+            free = self._twists(self._driven(t, y.T))
+            v, omega = free[:, TRANSLATION], free[:, ROTATION]
             if velocity is not None:
                 v[:] = np.asarray(velocity, dtype=np.float64)
             if angular_velocity is not None:
@@ -307,8 +314,7 @@ class Pieces:
         v, omega = self.velocities(t, y)
         if isinstance(self._provider, ForceTorque):
             return self._provider.force_torque(t, y[:, POSITION], q, v, omega)
-        free = self._free(t, self._rows(y.T))
-        motion = np.stack([np.broadcast_to(u, (self.n_lanes,)) for u in free], axis=-1)
+        motion = self._twists(self._free(t, self._rows(y.T)))
         d = rotation.axis(q)
         rt, ra, st, sa = self.bodies.resistance[..., None]
 
@@ -340,14 +346,14 @@ class Pieces:
 
     def mean_rate(self, t: float, y: Array, horizon: float) -> Array:
         """`time_rate` (n,), in polynomial flows that change its mean until `horizon` later."""
-        if self.changing is None:
-            return self.time_rate(t, y)
-        if self._mean_rate is None or self._mean_rate[0] != (t, horizon):
+        asked = t, y.tobytes(), horizon
+        if self._mean_rate[0] != asked:
             rates = self.time_rate(t, y)
             with suppress(FlowError):  # told when the run comes to it
-                sizes = np.linalg.norm(self._gradients(y, t + horizon * _SHARES), axis=(-2, -1))
-                rates = np.mean(np.where(sizes > 0.0, sizes, rates), axis=0)
-            self._mean_rate = (t, horizon), rates
+                if self.changing is not None:
+                    sizes = np.linalg.norm(self._gradients(y, t + horizon * _SHARES), axis=(-2, -1))
+                    rates = np.mean(np.where(sizes > 0.0, sizes, rates), axis=0)
+            self._mean_rate = asked, rates
         return self._mean_rate[1]
 
     def _gradients(self, y: Array, t: Array) -> Array:

@@ -52,6 +52,11 @@ class Pace:
         self._cost, self._next = system.equations.bdf_cost, start.steps + WINDOW
         self._before: tuple[float, int] | None = None
 
+    @property
+    def looks(self) -> bool:
+        """Whether there is anything to judge."""
+        return self._judged or self._stiffness_at is not None
+
     def held_up(self, t: float, steps: int, rejections: int) -> bool:
         """Whether the run is to be cut and `changed`, after a step to t.
 

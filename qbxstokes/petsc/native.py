@@ -64,7 +64,7 @@ def frozen(context, array):  # type: ignore[no-untyped-def]
 # follow the flow, and centres that stay.
 _loop: Any = None
 _STATE, _FLOW, _BODY = 7, 64, 17
-_FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL, _CHANGING = (False,) * 7
+_FLOWS, _BODIES, _LOADED, _INERTIAL, _FOLLOWING, _STILL, _CHANGING, _SINGLE = (False,) * 8
 
 # Places of the constants: calls so far, number of columns, what follows the flow, address and size
 # of the pieces of a flow that changes, Jacobians so far and whether a rate was no number (implicit
@@ -176,14 +176,15 @@ class Kind(NamedTuple):
     following: bool
     still: bool
     changing: bool
+    single: bool
 
     @classmethod
-    def of(cls, block: BlockConstants, n_state: int) -> Self:
+    def of(cls, block: BlockConstants, layout: Layout) -> Self:
         """That of a block."""
         return cls(
             block.kernels,
             block.degree,
-            (n_state, len(block.flow), len(block.body)),
+            (layout.n_state, len(block.flow), len(block.body)),
             block.flow.ndim == 2,
             block.body.ndim == 2,
             block.loads is not None,
@@ -191,6 +192,7 @@ class Kind(NamedTuple):
             block.follow is not None,
             block.still is not None,
             block.changing is not None,
+            layout.columns == 1,
         )
 
     def compiled(self, function: Any, signature: Any = None, **more: Any) -> Any:
@@ -202,7 +204,7 @@ class Kind(NamedTuple):
         loops = compiled_loops(self.kernels, self.degree, not self.inertial)
         flags = self[3:]
         namespace = function.__globals__ | {
-            "_loop": loops.by_name["rate_block"],
+            "_loop": loops.by_name["single_block" if self.single else "rate_block"],
             "_slopes": loops.by_name["jacobian_block"],
             **dict(zip(("_STATE", "_FLOW", "_BODY"), self.sizes, strict=True)),
             **dict(zip((f"_{name.upper()}" for name in self._fields[3:]), flags, strict=True)),
@@ -254,6 +256,8 @@ class Native:
     the first counts the calls.
     """
 
+    everywhere = False  # whether it has a value wherever the state is finite
+
     def __init__(self, function: Any, constants: Array) -> None:
         self._function, self._constants = function, constants
 
@@ -294,9 +298,10 @@ class NativeRate(Native):
     """That of a block."""
 
     _functions = staticmethod(_compiled)
+    everywhere = True
 
     def __init__(self, block: BlockConstants, layout: Layout) -> None:
-        function = self._functions(Kind.of(block, layout.n_state))
+        function = self._functions(Kind.of(block, layout))
         head = np.zeros(_PARTS)
         head[_COLUMNS] = layout.columns
         if block.follow is not None:

@@ -1,12 +1,11 @@
 """Integration of the equations of motion by PETSc TS.
 
-`TS.step` takes one step at a time, so that sampling, events and checkpoints sit between the steps
-and cost nothing inside them. The steps do not depend on the instants that are asked for.
+`TS.step` takes one step at a time: sampling, events and checkpoints sit between the steps (`leaps`:
+between those that matter), which do not depend on the instants that are asked for.
 
-Events are found by an observer between the steps, as roots of functions of the states inside a step
-(`dense_output`). TSSetEventHandler ends a step at each event, so that the motion would depend on
-what is watched for; it acts within TSSolve alone, which leaves no place for cuts; and its instants
-err by 1e-7 to 1e-6 in a motion good to 1e-8. Here the motion stays, to the last bit.
+Events are roots of functions of the states inside a step (`dense_output`). TSSetEventHandler would
+end steps there, so that the motion depends on what is watched for, within TSSolve alone, which
+leaves no place for cuts, and its instants err by 1e-7 to 1e-6 in a motion good to 1e-8.
 
 Tolerance. It is the error at the end of the run that the user accepts, in q and, relative to
 max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order and control the
@@ -29,9 +28,10 @@ from petsc4py import PETSc
 from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError, Stopping
 from qbxstokes.flows.signals import NO_BOUND
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
+from qbxstokes.motion.layout import ORIENTATION, Step
 from qbxstokes.petsc.dense_output import Inside
 from qbxstokes.petsc.implicit_pace import Pace
+from qbxstokes.petsc.leaps import Leaps
 from qbxstokes.petsc.session import require_honest
 from qbxstokes.petsc.system import System
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk, Trajectory, Watch, of_unit_length
@@ -104,17 +104,14 @@ def integrate(
         finished = False
     finally:
         run.release()
+    told = "checkpoint", "stopped", "refusal", "failure", "reached"
     return Trajectory(
         times=np.concatenate([np.empty(0), *(chunk.times for chunk in kept)]),
         states=np.concatenate([np.empty((0, *shape)), *(chunk.states for chunk in kept)]),
-        checkpoint=run.checkpoint,
         finished=finished,
-        stopped=run.stopped,
-        refusal=run.refusal,
-        failure=run.failure,
-        reached=run.reached,
         longest_step=longest_step,
         flow_samples=0 if equations.changing is None else equations.changing.asked,
+        **{name: getattr(run, name) for name in told},
     )
 
 
@@ -176,6 +173,7 @@ class Run:
         index, t = self.checkpoint.next_sample, self.checkpoint.time
         samples: list[Array] = []
         watch = None if getattr(observe, "idle", False) else observe
+        leaps = self._leaps(watch)
         while index < len(times) and times[index] <= t:
             samples.append(self._system.read(self._vector))
             index += 1
@@ -185,7 +183,12 @@ class Run:
                 return False
             before, start, halt = t, self._vector.getArray(readonly=1).copy(), None
             try:
-                self._to_break(t, start)
+                until = min(times[index], self.checkpoint.time + chunk_time)
+                if leaps and not self._jumps and leaps.take(t, until, min(cut, self._most_steps)):
+                    before, start = leaps.before, leaps.start
+                    self._judge(before, leaps.error)
+                else:
+                    self._to_break(t, start)
                 t = min(ts.getTime(), self._end)
                 t = self._end if math.isclose(t, self._end, rel_tol=1e-14) else t
                 if watch is not None:
@@ -222,10 +225,17 @@ class Run:
             if due or held_up or index == len(times):
                 self._cut(deliver, t, index, samples, held_up)
                 ts, samples, times = self.ts, [], self.times
+                leaps = None if index == len(times) else self._leaps(watch)
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
             self._cut(deliver, t, index, samples)
         return True
+
+    def _leaps(self, watch: Any) -> Leaps | None:
+        """What takes steps that nobody looks at; None where each one is looked at."""
+        looked_at = self._monitored or self._watch.looks or self._pace.looks
+        given = self._system, self.ts, self._vector, watch
+        return None if looked_at or len(self._breaks) else Leaps.of(*given)
 
     def _to_break(self, t: float, start: Array) -> None:
         """One accepted step from t, up to the next break at most."""
@@ -309,18 +319,23 @@ class Run:
 
     def _try_step(self) -> None:
         """One step of TS; what went astray is for the caller to take back."""
-        ts, before = self.ts, self.ts.getTime()
+        before, failed = self.ts.getTime(), None
         self._system.before_step()
         try:
-            ts.step()
+            self.ts.step()
         except PETSc.Error as error:
-            failure = self.counter.failure
-            if failure is not None:
-                raise failure from error
-            raise self._failed(ADVICE, str(error).strip().splitlines()[-1]) from error
-        self._system.after_step()
-        if self.counter.astray:
-            return
+            failed = error
+        else:
+            self._system.after_step()
+        if failed or not self.counter.astray:
+            self._judge(before, failed)
+
+    def _judge(self, before: float, error: Any) -> None:
+        """Raise what is wrong with the step from `before`, or with its callbacks."""
+        ts = self.ts
+        if error is not None:
+            what = str(error).strip().splitlines()[-1]
+            raise self.counter.failure or self._failed(ADVICE, what) from error
         reason = ts.getConvergedReason()
         if reason < 0:
             if before + ts.getTimeStep() == before:
@@ -334,21 +349,8 @@ class Run:
         if ts.getStepNumber() >= self._most_steps:
             raise self._failed(ADVICE, "the largest number of steps (-ts_max_steps) is taken")
 
-    def _failed(self, advice: str, what: str) -> ConvergenceError | FlowError | ContactError:
-        """The error for a step that cannot be completed, with time and place."""
-        ts, refusal = self.ts, self.counter.refusal
-        if isinstance(refusal, FlowFunctionError):
-            what, advice = str(refusal), ""
-        elif refusal is not None:
-            return refusal
-        place = ""
-        if self.equations.layout.columns == 1:
-            centre = self._system.read(self._vector)[0, POSITION]
-            place = f"body at ({', '.join(f'{value:.6g}' for value in centre)}), "
-        return ConvergenceError(
-            f"time integration ({self._system.method}) stopped at t = {ts.getTime():.6g}, {place}"
-            f"step {ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}{advice}"
-        )
+    def _failed(self, advice: str, what: str) -> Exception:
+        return self._system.failed(self.ts, self._vector, advice, what)
 
     def _cut(
         self,
@@ -368,16 +370,11 @@ class Run:
             state=of_unit_length(state),
             step=float(ts.getTimeStep()),
             next_sample=index,
-            method=self._system.method,
-            local_tolerance=self._system.local_tolerance,
-            reachable=self._system.reachable,
-            expected=self._system.expected,
             steps=ts.getStepNumber(),
             rejections=old.rejections + ts.getStepRejections(),
-            evaluations=self._system.evaluations,
-            jacobians=self._system.jacobians,
             norm_drift=max(old.norm_drift, drift),
             changed=old.changed,
+            **self._system.record,
         )
         if held_up:
             new = self._pace.changed(new)

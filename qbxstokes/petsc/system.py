@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from qbxstokes.errors import ContactError, FlowError
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError, FlowFunctionError
 from qbxstokes.motion.centred import CentredEquations
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.forecast import EXPLICIT_TYPES, STAGES, Forecast, floor_of
-from qbxstokes.motion.layout import POSITION, RATES, SPIN, VELOCITY
+from qbxstokes.motion.layout import ORIENTATION, POSITION, RATES, SPIN, VELOCITY
 from qbxstokes.petsc import implicit
 from qbxstokes.petsc.session import temporary_options
 from qbxstokes.petsc.trajectory import Checkpoint
@@ -113,9 +113,29 @@ class System:
         return self.counter.jacobians + (self.native.jacobians if self.native else 0)
 
     @property
+    def record(self) -> dict[str, Any]:
+        """What a checkpoint keeps of it."""
+        names = "method", "local_tolerance", "reachable", "expected", "evaluations", "jacobians"
+        return {name: getattr(self, name) for name in names}
+
+    @property
     def explicit_in_c(self) -> bool:
         """Whether the right-hand side of an explicit formula is compiled."""
         return self.native is not None and not self._by_lane
+
+    @property
+    def leaps(self) -> bool:
+        """Whether steps may be taken in C whose stages nobody has to look at."""
+        return self.explicit_in_c and self.layout.columns == 1 and self.native.everywhere
+
+    @property
+    def place_of_q(self) -> int:
+        """Where in the state that is integrated the orientation begins."""
+        return ORIENTATION.start if self.moving is self.equations else 0
+
+    def seen(self, t: float) -> tuple[Array, float]:
+        """What steps from t are to see, and how far they may go (`flows.signals.Sampled.seen`)."""
+        return (np.empty(0), math.inf) if self._changing is None else self._changing.seen(t)
 
     def cover(self, before: float, after: float) -> float:
         """Know the flow from `before` to `after`, if possible; the instant up to which it is."""
@@ -309,6 +329,21 @@ class System:
                 raise
 
         return callback_block
+
+    def failed(self, ts: Any, vector: Any, advice: str, what: str) -> Exception:
+        """The error for a step that cannot be completed, with time and place."""
+        refusal, place = self.counter.refusal, ""
+        if isinstance(refusal, FlowFunctionError):
+            what, advice = str(refusal), ""
+        elif refusal is not None:
+            return refusal
+        if self.layout.columns == 1:
+            centre = self.read(vector)[0, POSITION]
+            place = f"body at ({', '.join(f'{value:.6g}' for value in centre)}), "
+        return ConvergenceError(
+            f"time integration ({self.method}) stopped at t = {ts.getTime():.6g}, {place}"
+            f"step {ts.getStepNumber()} with step size {ts.getTimeStep():.3g}: {what}{advice}"
+        )
 
     def componentwise(self, values: Array) -> Array:
         """The vector's values as (n_state, columns) of what is integrated."""
