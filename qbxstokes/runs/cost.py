@@ -199,9 +199,8 @@ def coupled_seconds(plan: MotionPlan) -> float:
     watch = assembled.watch()
     watch.begin(0.0, assembled.initial)
     first = time.process_time()  # maps of the bodies have been made, and are there for the rest
-    fluid = assembled.fluid
     for _ in range(2):  # in the first kernels may be compiled, and take all there is after a step
-        start, solves = time.process_time(), fluid.solves
+        start, solves = time.process_time(), assembled.solves
         trajectory = assembled.trajectory(
             plan.times,
             observe=watch,
@@ -212,8 +211,8 @@ def coupled_seconds(plan: MotionPlan) -> float:
         if share == 1.0 or trajectory.checkpoint.steps > 3:
             break
     # Samples take a solve each, and the estimates of errors, at both ends and between, two.
-    sample = (steps - start) / (fluid.solves - solves) if fluid.solves > solves else 0.0
-    fluid.estimate(0.0, assembled.initial)
+    sample = (steps - start) / (assembled.solves - solves) if assembled.solves > solves else 0.0
+    assembled.estimate(0.0, assembled.initial)
     ends = first - begin + 3.0 * (time.process_time() - steps)
     whole = (steps - start) / max(share, 1e-6)
     if share < 1.0 and trajectory.checkpoint.method == "bdf":  # which begins by short steps

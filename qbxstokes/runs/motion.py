@@ -224,13 +224,13 @@ def _of_several(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]
         with job.clock.part("motion"), pointed(job.loaded):
             assembled = scene.assemble()
             watch = assembled.watch()
-        assembled.fluid.asked = job.interruption.asked
+        assembled.asked = job.interruption.asked
 
         def facts(trajectory: Trajectory) -> dict[str, Any]:
-            assembled.fluid.asked = None  # what remains is little
+            assembled.asked = None  # what remains is little
             if trajectory.finished:
                 with job.clock.part("error estimate"):
-                    assembled.estimate(trajectory, watch)
+                    assembled.estimate_along(trajectory, watch)
             return {
                 **coupled_assembly.facts(assembled, trajectory),
                 "events": coupled_assembly.meetings_summary(watch),

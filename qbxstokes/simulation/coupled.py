@@ -179,9 +179,9 @@ class CoupledSimulation(Simulation):
 
     def assemble(self, *_: Any, **__: Any) -> Together:  # type: ignore[override]
         """The equations of the scene with their start."""
-        from qbxstokes.simulation.coupled_assembly import assemble
+        from qbxstokes.simulation.coupled_assembly import Together
 
-        return assemble(self)
+        return Together(self)
 
     def to_yaml(self, times: ArrayLike | None = None) -> str:
         """The scene as a case file; see `Simulation.to_yaml`."""

@@ -1,35 +1,38 @@
-"""The assembly of bodies that share a fluid: equations, integrator, events and what they give."""
+"""The assembly of bodies that share a fluid: equations, what these ask, events and results."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, names_of
 from qbxstokes.bie.scatterer import scatterer
-from qbxstokes.errors import SceneError
-from qbxstokes.geometry.symmetric import symmetric
+from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
+from qbxstokes.flows.interpolation import Between
+from qbxstokes.geometry import rotation
+from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
+from qbxstokes.motion.wall_constants import WallConstants
+from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.grid_choice import MOST_NODES
 from qbxstokes.simulation.result import Motion, integration_facts
-from qbxstokes.simulation.shared_fluid import Fluid
+from qbxstokes.simulation.solved_instant import MOST_NODES
 from qbxstokes.simulation.watching import breaks_of, split_columns, stops_of, watched
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
-
-Array = NDArray[np.float64]
 
 # Steps and samples between cuts, where a run can be resumed: some seconds of work.
 CUT_STEPS, CUT_SAMPLES = 5, 20
@@ -41,17 +44,40 @@ _STEPS_IN_TIME = 20.0
 _LOOSE = 1e-6
 
 
-@dataclass
-class Together:
-    """A scene ready to be integrated: equations and the states (N, n_state) that they start from.
+class Together(Between, Watch):
+    """A scene ready to be integrated: equations, and the states (N, n_state) that they start from.
 
-    What `assembly.Assembled` is for lanes of one body.
+    What `assembly.Assembled` is for lanes of one body. It is the fluid of its equations, too: each
+    answer to them is a problem of its own. asked: whether a signal asks the run to stop; raises
+    `Stopping` then, before the next problem.
     """
 
-    scene: CoupledSimulation
-    fluid: Fluid
-    equations: CoupledEquations
-    initial: Array
+    thermal = None
+    asked: Callable[[], bool] | None = None
+
+    def __init__(self, scene: CoupledSimulation) -> None:
+        self.scene = scene
+        self.iterations = self.solves = 0
+        self.errors: dict[str, float] = {}
+        self._terms: Array | None = None
+        bodies, stokes = scene.suspension.bodies, scene.stokes_number
+        size = np.array([body.size for body in bodies])
+        volume = size**3 * np.array([body.shape.volume for body in bodies])
+        inertia = size[:, None] ** 5 * np.array([body.shape.inertia for body in bodies])
+        relaxation = np.zeros((4, len(bodies)))
+        if np.any(stokes):
+            drag = [scatterer(body.shape, LEAST_NODES).resistance for body in bodies]
+            for b, own in enumerate(drag):
+                moved, turned = own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]
+                relaxation[:, b] = np.array([*moved[[0, 2]], *turned[[0, 2]]]) / stokes[b]
+        ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
+        given = volume, inertia, relaxation, self.constants, _NOISE * scene.suspension.tolerance
+        self.equations = CoupledEquations(self, ratios, stokes, *given)
+        self.initial = self.equations.initial_state(
+            scene.position, scene.quaternion, scene.velocity, scene.angular_velocity
+        )
+
+    # -- what is done with it -----------------------------------------------------------------
 
     def trajectory(self, times: Array, start: Any = None, **settings: Any) -> Any:
         """`petsc.stepper.integrate` of the equations with the scene's tolerance."""
@@ -77,7 +103,7 @@ class Together:
             method=("5dp" if local > _LOOSE else "8vr") if equations.massless else None,
             longest_step=longest,
             breaks=breaks,
-            watch=self.fluid,
+            watch=self,
             **{**limits, **settings},
         )
 
@@ -129,7 +155,7 @@ class Together:
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
         """The wanted quantities (T, N, ...) from states (T, N, n_state) at times (T,)."""
         shear = None if self.scene.flow is None else self.scene.frame.shear
-        about = shear, self.fluid, self.scene.tolerance
+        about = shear, self, self.scene.tolerance
         found = observe(self.equations, times, states, False, wanted, *about)
         return {name: found[name] for name in dict.fromkeys((*wanted, *found))}
 
@@ -141,18 +167,18 @@ class Together:
         """The motion sampled at times (T,)."""
         instants = given.instants(times)
         trajectory, watch = watched(self, instants)
-        self.estimate(trajectory, watch)
+        self.estimate_along(trajectory, watch)
         return CoupledMotion.together(self, trajectory, watch)
 
-    def estimate(self, trajectory: Any, watch: Meetings) -> None:
+    def estimate_along(self, trajectory: Any, watch: Meetings) -> None:
         """Estimate the error of the velocities at the start, at the end and at the least gap."""
-        self.fluid.estimate(0.0, self.initial)
+        self.estimate(0.0, self.initial)
         end = trajectory.checkpoint
-        self.fluid.estimate(end.time, end.state)
+        self.estimate(end.time, end.state)
         if watch.nearest is not None and watch.nearest_state is not None:
             t = watch.nearest[2]
             if 0.0 < t < end.time:
-                self.fluid.estimate(t, watch.nearest_state)
+                self.estimate(t, watch.nearest_state)
 
     def expected_errors(self, end: float, rounding: float) -> dict[str, float]:
         """Largest error of centres and axes to expect at the end, and what it consists of.
@@ -160,9 +186,112 @@ class Together:
         integration: the tolerance; grids: the estimated error of the velocities all the way;
         rounding: of all steps. Bodies that meet, or fall as a cloud, may end further off.
         """
-        grids = max(self.fluid.errors.values()) * end
+        grids = max(self.errors.values()) * end
         parts = {"integration": self.scene.tolerance, "grids": grids, "rounding": rounding}
         return {"total": sum(parts.values()), **parts}
+
+    # -- what its equations ask ---------------------------------------------------------------
+
+    def free(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """Velocities of the bodies under their loads."""
+        told = self._from_table(t, x, q)
+        if told is not None:
+            return told
+        found = self._solved("free", t, x, q)
+        return found.velocity, found.angular_velocity
+
+    def drag(self, t: float, x: Array, q: Array, v: Array, omega: Array) -> tuple[Array, Array]:
+        """Force and torque of the fluid ON the bodies."""
+        told = self._from_table(t, x, q, np.hstack([v, omega]))
+        if told is not None:
+            return told
+        found = self._solved("held", t, x, q, velocity=v, angular_velocity=omega)
+        return -found.force, -found.torque
+
+    def resistance(self, t: float, x: Array, q: Array) -> Array:
+        """Resistance (6N, 6N) of the bodies to the accuracy that a Jacobian needs."""
+        table = self.scene.table
+        if table is not None:
+            with suppress(ContactError, SceneError):
+                place = x[0], rotation.axis(q)[0]
+                return np.linalg.inv(table.free_and_mobility(table.flow_terms(None), *place)[1])
+        return np.asarray(self._solved("resistance", t, x, q))
+
+    def _from_table(
+        self, t: float, x: Array, q: Array, motion: Array | None = None
+    ) -> tuple[Array, Array] | None:
+        """Free velocities, or with a motion force and torque, from the table; None beyond it."""
+        scene, table = self.scene, self.scene.table
+        degree = 0 if scene.flow is None else scene.flow.degree
+        if table is None or degree is None or degree > 2:
+            return None
+        if self._terms is None or (scene.flow is not None and not scene.flow.steady):
+            self._terms = table.flow_terms(scene.flow, t)
+        try:
+            if motion is None:
+                load = np.hstack(self.loads(t, x, q))
+                return table.motion(self._terms, x, rotation.axis(q), load)
+            drag = table.drag(self._terms, x[0], rotation.axis(q)[0], motion[0])
+        except (ContactError, SceneError):
+            return None
+        return drag[None, :3], drag[None, 3:]
+
+    @property
+    def constants(self) -> Callable[[], WallConstants] | None:
+        """What the compiled rate over a wall takes, where all of it is the table's."""
+        scene, table = self.scene, self.scene.table
+        flow, loads = scene.flow, scene.loads
+        if table is None or scene.repulsion is not None or not (scene.massless and scene.steady):
+            return None
+        if flow is not None and not (flow.steady and flow.degree is not None and flow.degree <= 2):
+            return None
+        own: tuple[Any, ...] = () if loads is None else (loads.body_force, loads.body_torque)
+        if any(np.any(vectors) for vectors in own):
+            return None
+        terms = table.flow_terms(flow, 0.0)
+        load = np.hstack(self.loads(0.0, scene.position, scene.quaternion))[0]
+        return lambda: table.constants(terms, load)
+
+    def loads(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
+        """Force and torque from outside."""
+        still = np.zeros((len(q), 3))
+        found = self.scene.forces(t, x, q)
+        return found.get("force", still), found.get("torque", still)
+
+    def gradient(self, t: float, x: Array) -> Array:
+        """Velocity gradient of the flow at the centres."""
+        flow = self.scene.flow
+        return np.zeros((len(x), 3, 3)) if flow is None else np.asarray(flow.gradient(x, t))
+
+    def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Any) -> Array:
+        """Stresslets (N, 6) of the free bodies."""
+        return components(self._solved("free", t, x, q).stresslet)
+
+    def estimate(self, t: float, y: Array) -> None:
+        """Take the estimated errors of the velocities in a state into account."""
+        x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
+        found = self._solved("estimate", t, x, q).error_estimate
+        for name in ("velocity", "angular_velocity"):
+            error = found[name]
+            if self.scene.table is not None:
+                error += self.scene.table.error_estimate
+            self.errors[name] = max(self.errors.get(name, 0.0), error)
+
+    def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
+        scene = self.scene
+        if self.asked is not None and self.asked():
+            raise Stopping
+        try:
+            places = scene.suspension.placed(x, q)
+            nodes = scene.suspension.grids(places, scene.flow, t, True, kind != "held")
+        except SceneError as error:  # beyond the edge of the flow, or at its singular point
+            raise FlowError(str(error)) from None
+        # From nothing, not from the last solution: numbers do not depend on what was asked before.
+        found = scene.solved(kind, t, x, q, nodes, **motion)
+        if kind != "resistance":
+            self.solves += 1
+            self.iterations += found.iterations
+        return found
 
 
 @dataclass(frozen=True)
@@ -244,13 +373,13 @@ class CoupledMotion(Motion):
 
 def facts(assembled: Together, trajectory: Any) -> dict[str, Any]:
     """What the solves of a motion took, the estimated errors of its velocities, and at its end."""
-    fluid, at = assembled.fluid, trajectory.checkpoint
+    at = trajectory.checkpoint
     found = {
-        "solves": fluid.solves,
-        "iterations": fluid.iterations,
-        "velocity_errors": dict(fluid.errors),
+        "solves": assembled.solves,
+        "iterations": assembled.iterations,
+        "velocity_errors": dict(assembled.errors),
     }
-    if fluid.errors:
+    if assembled.errors:
         found["expected_error"] = assembled.expected_errors(at.time, at.reachable)
     return found
 
@@ -264,26 +393,3 @@ def meetings_summary(watch: Meetings) -> dict[str, Any]:
     if watch.ended[0]:
         summary |= {"ended_by": watch.ended[0], "ended_because": watch.ended[1]}
     return summary
-
-
-def assemble(scene: CoupledSimulation) -> Together:
-    """Equations of the scene with their start."""
-    bodies = scene.suspension.bodies
-    fluid = Fluid(scene)
-    size = np.array([body.size for body in bodies])
-    volume = size**3 * np.array([body.shape.volume for body in bodies])
-    inertia = size[:, None] ** 5 * np.array([body.shape.inertia for body in bodies])
-    stokes = scene.stokes_number
-    relaxation = np.zeros((4, len(bodies)))
-    if np.any(stokes):
-        drag = [scatterer(body.shape, LEAST_NODES).resistance for body in bodies]
-        for b, own in enumerate(drag):
-            moved, turned = own[:3] * size[b] / volume[b], own[3:] * size[b] ** 3 / inertia[b]
-            relaxation[:, b] = np.array([*moved[[0, 2]], *turned[[0, 2]]]) / stokes[b]
-    ratios = np.array([float(body.shape.effective_ratio) for body in bodies])
-    given = volume, inertia, relaxation, fluid.constants, _NOISE * scene.suspension.tolerance
-    equations = CoupledEquations(fluid, ratios, stokes, *given)
-    start = equations.initial_state(
-        scene.position, scene.quaternion, scene.velocity, scene.angular_velocity
-    )
-    return Together(scene, fluid, equations, start)

@@ -17,7 +17,7 @@ from qbxstokes.geometry.symmetric import components, symmetric
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.qbx.exterior import SURFACE_MARGIN, ExteriorFlow
 from qbxstokes.simulation.flow_around import Instant
-from qbxstokes.simulation.grid_choice import MOST_NODES
+from qbxstokes.simulation.solved_instant import MOST_NODES
 from qbxstokes.typing import AnyArray, Array, Booleans
 
 if TYPE_CHECKING:

@@ -15,15 +15,15 @@ from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.simulation.arguments import numbers, turned
-from qbxstokes.simulation.grid_choice import (
+from qbxstokes.simulation.simulation import Simulation
+from qbxstokes.simulation.solved_instant import (
     MOST_NODES,
+    Solution,
     choose_nodes,
     flow_nodes_on,
     least_rate,
     probed_nodes,
 )
-from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.solved_instant import Solution
 from qbxstokes.simulation.surroundings import Wall
 
 if TYPE_CHECKING:
