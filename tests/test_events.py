@@ -213,7 +213,7 @@ def test_steps_that_nobody_looks_at_are_the_same(
         monkeypatch.setattr(Leaps, "of", leaps)
         assembled = qs.Simulation(body, qs.flow(kind, **keys), **start, tolerance=1e-7).assemble()
         assembled.equations.evaluation = "compiled"
-        found.append(assembled.motion([0.0, 5.0, 5.1, 20.0]))
+        found.append(assembled.integrate([0.0, 5.0, 5.1, 20.0]))
     one, other = found
     assert one.steps > 10
     assert one.summary == other.summary
