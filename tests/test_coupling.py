@@ -215,6 +215,7 @@ def test_a_motion_ends_at_the_wall_by_name() -> None:
     assert fall.ended_by == "clearance"
     assert "body 1 and the wall" in fall.message
     assert fall.gap[-1] == pytest.approx(0.6, abs=1e-6)
+    assert fall.summary["events"]["nearest"]["gap"] == fall.gap[-1]
     assert fall.events["clearance"]["gap"] == pytest.approx(0.6, abs=1e-6)
 
 
@@ -322,3 +323,31 @@ def test_explicit_steps_give_way_where_drag_outgrows_them(monkeypatch: pytest.Mo
     assert found.summary["method"] == "bdf"
     assert "drag outgrew explicit steps" in found.summary["changed"]
     assert np.abs(found.position[-1] - usual.position[-1]).max() < 1e-4
+
+
+def test_the_pair_that_ends_a_motion_is_the_one_whose_gap_takes_too_many_nodes() -> None:
+    """Not the one with the least gap, which two spheres have here."""
+    x = [[0, 0, 0], [0, 0, 2.03], [20, 0, 0], [28.05, 0, 0]]
+    bodies = [qs.Body(1.0)] * 2 + [qs.Body(4.0)] * 2
+    start: dict[str, Any] = {"position": x, "tolerance": 1e-4}
+    together = qs.Simulation(bodies, None, None, **start).assemble()
+    near = together.nearness(together.initial)
+    assert near.pair == (2, 1)
+    assert near.gap == pytest.approx(0.03)
+    assert near.who == (4, 3)
+    assert near.room < 0.0
+    assert near.name == "body_contact"
+    assert near.reason.startswith("bodies 3 and 4: at the gap 0.05 the tolerance 1e-04 would take")
+
+
+def test_the_least_gap_is_that_between_steps() -> None:
+    bodies, flow = [qs.Body(0.5), qs.Body(0.8)], qs.flow("shear")
+    start: dict[str, Any] = {
+        "position": [[-2, 0.5, 0], [2, -0.5, 0]],
+        "orientation": [[0, 0, 1], [0, 0.6, 0.8]],
+    }
+    scene = qs.Simulation(bodies, flow, None, **start, tolerance=1e-5, resolution=1e-3)
+    found = scene.integrate([0.0, *np.linspace(3.9, 4.1, 11), 5.0])
+    nearest = found.summary["events"]["nearest"]
+    assert nearest["gap"] == pytest.approx(found.gap.min(), rel=1e-3)
+    assert nearest["time"] == pytest.approx(found.time[np.argmin(found.gap)], abs=0.03)

@@ -25,16 +25,17 @@ _BENT = 2.0
 _FINEST = 1e-3
 # Largest value of s (1 - s)^2 on [0, 1]: how far a cubic is from its chord, for what its ends miss.
 _CUBIC = 4.0 / 27.0
-# The least gap is looked for at these parts of a step, and taken where it seems so much less.
-_LOOKS, _LESS = (0.25, 0.5, 0.75), 0.95
+# Part of a step at whose ends the gap shows that it is least inside, cuts of the step by the golden
+# section, and how much less than before the least gap has to be to be told.
+_EDGE, _CUTS, _LESS = 0.02, 20, 0.999
 
 
 @dataclass(frozen=True)
 class Nearness:
     """How near the bodies may still come: room to what ends the run (scene units), and its words.
 
-    room: negative where the run has to end; gap: the least gap itself; pair: bodies by number from
-    1, 0 the wall. name: of the event, reason: why the run ends there.
+    room: negative where the run has to end; gap: the least gap itself; pair: its bodies by number
+    from 1, 0 the wall. name: of the event, reason: why the run ends there, who: whose it is.
     """
 
     room: float
@@ -42,6 +43,7 @@ class Nearness:
     pair: tuple[int, int]
     name: str
     reason: str
+    who: tuple[int, int]
 
 
 @dataclass
@@ -52,7 +54,7 @@ class Meetings(EventLog):
     normal: of a wall, towards which alone ways count; edges: whether ways count for other reasons.
     turning: coordinates ("x1", "d3", ...) whose turning points are recorded of every body. Rows
     hold time, body, other body (0: none or the wall), the least gap of the scene and the body's
-    position. nearest: least gap at the end of a step, who, and when.
+    position. nearest: the least gap, whose, and when.
     """
 
     equations: CoupledEquations
@@ -102,8 +104,8 @@ class Meetings(EventLog):
         t, near = contact
         self.ended = (near.name, near.reason)
         state = step.end if t >= step.after else step.state(t)
-        body = max(near.pair[0], 1)
-        self._record(near.name, t, state, body, near.pair[1], near.gap)
+        self._note(t, near, state)
+        self._record(near.name, t, state, *near.who, near.gap)
         return t
 
     # -- contacts -----------------------------------------------------------------------------
@@ -131,6 +133,7 @@ class Meetings(EventLog):
             begin = todo.pop()
             self._note(begin[0], begin[2], begin[1])
         self._latest = begin[0], begin[2]
+        self._least(step, near_start.gap, begin[2].gap)
         return None
 
     def _clear(self, step: Step, before: Nearness, after: Nearness) -> bool:
@@ -143,25 +146,9 @@ class Meetings(EventLog):
             return False
         if before.room + after.room >= self._travel(step.start, step.end):
             return True
-        length, moving, known = step.after - step.before, self.equations.moving, self._known
-        try:
-            last = moving(step.after, step.end)  # which the next step starts from
-            own = known is not None and known[0] == step.before
-            first = known[1] if known and own else moving(step.before, step.start)
-        except (FlowError, ContactError, ConvergenceError):
+        if (found := self._cubic(step)) is None:
             return False
-        self._known = step.after, last
-        chord = (step.end - step.start)[:, :N_MASSLESS]
-        first, last = length * first - chord, chord - length * last
-        bent = sum(self._apart(*self._ways(step.start, way)) for way in (first, last))
-        margin = 2.0 * _CUBIC * bent
-
-        def cubic(s: float) -> Array:
-            states = step.start.copy()
-            off = s * (1.0 - s) * ((1.0 - s) * first + s * last)
-            states[:, :N_MASSLESS] += s * chord + off
-            return states
-
+        cubic, margin = found
         begin, todo = (0.0, step.start, before), [(1.0, step.end, after)]
         while todo:
             s, states, near = todo[-1]
@@ -174,13 +161,58 @@ class Meetings(EventLog):
             middle = 0.5 * (begin[0] + s)
             states = cubic(middle)
             todo.append((middle, states, self.nearness(states)))
-        gap, s = min((self.nearness(cubic(s)).gap, s) for s in _LOOKS)
-        least = min(before.gap, after.gap, self.nearest[0] if self.nearest else np.inf)
-        if gap < _LESS * least:
-            t = step.before + s * length
-            states = step.state(t)
-            self._note(t, self.nearness(states), states)
         return True
+
+    def _cubic(self, step: Step) -> tuple[Callable[[float], Array], float] | None:
+        """States at parts of a step by its ends' states and rates, and what they may be off.
+
+        None where there are no rates at the end.
+        """
+        length, moving, known = step.after - step.before, self.equations.moving, self._known
+        try:
+            last = moving(step.after, step.end)  # which the next step starts from
+            own = known is not None and known[0] == step.before
+            first = known[1] if known and own else moving(step.before, step.start)
+        except (FlowError, ContactError, ConvergenceError):
+            return None
+        self._known = step.after, last
+        chord = (step.end - step.start)[:, :N_MASSLESS]
+        first, last = length * first - chord, chord - length * last
+        bent = sum(self._apart(*self._ways(step.start, way)) for way in (first, last))
+
+        def cubic(s: float) -> Array:
+            states = step.start.copy()
+            off = s * (1.0 - s) * ((1.0 - s) * first + s * last)
+            states[:, :N_MASSLESS] += s * chord + off
+            return states
+
+        return cubic, 2.0 * _CUBIC * bent
+
+    def _least(self, step: Step, before: float, after: float) -> None:
+        """Note the least gap inside a step with the gaps at its ends, where it may be the least."""
+        least = self.nearest[0] if self.nearest else np.inf
+        if not before + after - self._travel(step.start, step.end) < 2.0 * least:
+            return
+        length, cubic = step.after - step.before, None
+        if step.costly:
+            if (found := self._cubic(step)) is None:
+                return
+            cubic = found[0]
+
+        def gap(s: float) -> float:
+            return self.nearness(cubic(s) if cubic else step.state(step.before + s * length)).gap
+
+        if gap(_EDGE) >= before or gap(1.0 - _EDGE) >= after:
+            return
+        low, high, part = 0.0, 1.0, 0.5 * (np.sqrt(5.0) - 1.0)
+        for _ in range(_CUTS):
+            one, other = high - part * (high - low), low + part * (high - low)
+            low, high = (low, other) if gap(one) < gap(other) else (one, high)
+        s = 0.5 * (low + high)
+        if gap(s) < _LESS * least:
+            t = step.before + s * length
+            state = step.state(t)
+            self._note(t, self.nearness(state), state)
 
     def _crossing(
         self, step: Step, t0: float, before: Nearness, end: tuple[float, Array, Nearness]

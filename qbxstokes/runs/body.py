@@ -98,7 +98,7 @@ def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]
         "resistance": resistance,
         "mobility": np.linalg.inv(resistance),
     }
-    errors = {"resistance": error}
+    errors, relative = {"resistance": error}, [error]
     gap, who = scene.closest(scene.places)
     summary: dict[str, Any] = {"gap": gap, "nearest": who}
     free = scene.solved("free", 0.0, x, q)
@@ -108,12 +108,15 @@ def computed(scene: CoupledSimulation) -> tuple[dict[str, Array], dict[str, Any]
         names = {"velocity": "free_velocity", "angular_velocity": "free_angular_velocity"}
         told = free.error_estimate
         errors |= {names.get(n, n): told[n] for n in (*names, "stresslet")}
+        relative += free.relative_errors.values()
     if scene.flow is not None:
         held = suspension.held(scene.flow, x, q)
         arrays |= {"held_force": -held.force, "held_torque": -held.torque}
         errors |= {f"held_{name}": held.error_estimate[name] for name in ("force", "torque")}
+        relative += held.relative_errors.values()
     if not scene.several:
         one = ("resistance", "mobility")
         arrays = {name: a if name in one else a[0] for name, a in arrays.items()}
     summary |= {"nodes": free.nodes, "iterations": free.iterations, "error_estimates": errors}
+    summary["relative_error"] = max(relative)
     return arrays, summary

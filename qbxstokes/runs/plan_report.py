@@ -85,7 +85,7 @@ def _driven(case: Case) -> Rows:
         yield from ((("loads", loads[0]),) if loads[0] else ())
     else:
         for number, text in enumerate(loads[:MANY], 1):
-            yield "loads" if number == 1 else "", f"body {number}: {text or 'none'}"
+            yield "loads" if number == 1 else " ", f"body {number}: {text or 'none'}"
     held = [
         f"{name} {value if value == LOCKED else 'prescribed: ' + _vector(value)}"
         for name in ("translation", "rotation")

@@ -63,15 +63,19 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     yield from loaded.remarks
     time, compared = loaded.case.time, loaded.case.compare.tolerance
     if time is not None:
-        aim = f"time.tolerance {time.tolerance:g}"
+        text = f"time.tolerance {time.tolerance:g}"
         reachable = summary.get("integration", {}).get("reachable_error", 0.0)
         if reachable > 3.0 * time.tolerance:
             rounding = f"rounding alone leaves an error of about {reachable:.0e} at the end"
-            yield f"{aim} is out of reach: {rounding}"
+            yield f"{text} is out of reach: {rounding}"
         law = summary.get("expected_error", {}).get("law", 0.0)
         if law > 10.0 * time.tolerance:
             error = f"the error of the body's law comes to about {law:.0e} at the end"
-            yield f"{aim} is missed: {error}"
+            yield f"{text} is missed: {error}"
+    of_bodies, aim = summary.get("relative_error", 0.0), loaded.case.hydrodynamics.tolerance
+    if of_bodies > 3.0 * aim:
+        error = f"errors come to about {of_bodies:.0e} of the largest velocity or load"
+        yield f"hydrodynamics.tolerance {aim:g} is missed: {error}"
     found = summary.get("events", {})
     if "ended_by" in found:
         yield f"ended at t = {summary['end']:.6g}: {found['ended_because']}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, names_of
+from qbxstokes.bie.multiple_scattering import LEAST_NODES, closest, gaps_of, names_of
 from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
 from qbxstokes.flows.interpolation import Between
@@ -27,7 +27,7 @@ from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given
 from qbxstokes.simulation.result import Motion, integration_facts
-from qbxstokes.simulation.solved_instant import MOST_NODES
+from qbxstokes.simulation.solved_instant import MOST_NODES, rooms
 from qbxstokes.simulation.watching import breaks_of, split_columns, stops_of, watched
 from qbxstokes.typing import Array
 
@@ -59,6 +59,7 @@ class Together(Between, Watch):
         self.scene = scene
         self.iterations = self.solves = 0
         self.errors: dict[str, float] = {}
+        self.relative_error = 0.0
         self._terms: Array | None = None
         bodies, stokes = scene.suspension.bodies, scene.stokes_number
         size = np.array([body.size for body in bodies])
@@ -127,29 +128,30 @@ class Together(Between, Watch):
         scene = self.scene
         suspension = scene.suspension
         places = suspension.placed(states[:, POSITION], states[:, ORIENTATION])
-        gap, (b, c), rates = closest(places, suspension.wall)
-        pair, who = (b + 1, c + 1), names_of(b, c)
+        gap, (b, c), _ = closest(places, suspension.wall)
+        least = gap, (b + 1, c + 1)
         bound = scene.events.clearance
-        reason = f"{who}: the gap fell to {bound or 0.0:.3g}"
-        near = Nearness(gap - (bound or 0.0), gap, pair, "clearance", reason)
-        # The rate of decay that the finest grids just serve.
-        body = int(np.argmin(rates))
-        size = suspension.bodies[body].size
-        room = size * (float(rates[body]) - suspension.least_rate)
-        if bound is None or room < near.room:
+        reason = f"{names_of(b, c)}: the gap fell to {bound or 0.0:.3g}"
+        near = Nearness(gap - (bound or 0.0), *least, "clearance", reason, least[1])
+        found = gaps_of(places, suspension.wall)
+        free, tolerance = self.equations.massless, suspension.tolerance
+        room = rooms(found, places, suspension.wall, tolerance, free)
+        if len(room) and (bound is None or room.min() < near.room):
+            at = int(np.argmin(room))
+            b, c = found.pairs[at].tolist()
             name = "wall_contact" if c < 0 else "body_contact"
             reason = (
-                f"{who}: at the gap {gap:.3g} the tolerance {suspension.tolerance:.0e} would take "
-                f"more than {MOST_NODES} polar nodes"
+                f"{names_of(b, c)}: at the gap {found.gap[at]:.3g} the tolerance {tolerance:.0e} "
+                f"would take more than {MOST_NODES} polar nodes"
             )
-            near = Nearness(min(room, gap), gap, pair, name, reason)
+            near = Nearness(float(room[at]), *least, name, reason, (b + 1, c + 1))
         for edge in scene.flow.domain if scene.flow is not None else ():
             reach = np.stack([p.size**2 * p.shape.extent(p.axis) for p in places])
             away = edge.gap(states[:, POSITION], reach)
             body = int(np.argmin(away))
             if away[body] < near.room:
                 reason = f"body {body + 1} reached {edge}, where its flow ends"
-                near = Nearness(float(away[body]), gap, (body + 1, 0), "domain_exit", reason)
+                near = Nearness(float(away[body]), *least, "domain_exit", reason, (body + 1, 0))
         return near
 
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
@@ -270,9 +272,10 @@ class Together(Between, Watch):
     def estimate(self, t: float, y: Array) -> None:
         """Take the estimated errors of the velocities in a state into account."""
         x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
-        found = self._solved("estimate", t, x, q).error_estimate
+        found = self._solved("estimate", t, x, q)
         for name in ("velocity", "angular_velocity"):
-            error = found[name]
+            error, share = found.error_estimate[name], found.relative_errors.get(name, 0.0)
+            self.relative_error = max(self.relative_error, share)
             if self.scene.table is not None:
                 error += self.scene.table.error_estimate
             self.errors[name] = max(self.errors.get(name, 0.0), error)
@@ -380,6 +383,7 @@ def facts(assembled: Together, trajectory: Any) -> dict[str, Any]:
         "velocity_errors": dict(assembled.errors),
     }
     if assembled.errors:
+        found["relative_error"] = assembled.relative_error
         found["expected_error"] = assembled.expected_errors(at.time, at.reachable)
     return found
 

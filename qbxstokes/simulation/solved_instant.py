@@ -26,6 +26,7 @@ from qbxstokes.bie.resolution import flow_nodes
 from qbxstokes.errors import ContactError, FlowError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.check import check_stokesian
+from qbxstokes.geometry.gaps import Gaps
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -42,17 +43,30 @@ _BEST = 0.02  # least factor of the law of errors that was met
 def _factor(k: float, free: bool, wall: bool) -> float:
     """C of a body's error, relative: of velocities of free bodies, else of the resistance.
 
-    Measured up to: resistance 300, 1900 (k = 1, 2); free by a wall 8, 45, 340 (k = 1/2, 1, 2),
-    among others 0.04, 0.5, 16.
+    Measured up to: resistance 300, 1900 (k = 1, 2); free, of the velocities that the loads give a
+    body alone, in pairs that are pulled apart, turned against each other, or in a strain along
+    their line 0.2, 4, 18, 51, 130 (k = 1/5, 1/2, 1, 2, 4); by a wall 8, 45, 340 (1/2, 1, 2).
     """
     if not free:
         return _FACTOR * k * k
-    return 40.0 * max(k, k**3) if wall else 2.0 * max(k, k**4)
+    return 40.0 * max(k, k**3) if wall else 20.0 * k * k
 
 
-def least_rate(tolerance: float) -> float:
-    """The rate of decay of a gap below which MOST_NODES do not serve a relative error."""
-    return math.log(_FACTOR / tolerance) / (2.0 * (MOST_NODES - 1))
+def rooms(
+    gaps: Gaps, bodies: Sequence[Placed], wall: Plane | None, tolerance: float, free: bool
+) -> Array:
+    """By how much every gap (P,) exceeds the one at which a body takes more than MOST_NODES.
+
+    As gaps of spheres that osculate the bodies change with the rate, by cosh(rate) - 1.
+    """
+    factors = [_factor(body.ratio, free, wall is not None) for body in bodies]
+    served = np.log(np.array(factors) / tolerance) / (2.0 * (MOST_NODES - 1))
+    part = np.zeros(len(gaps.gap))  # of the gap that is not to be had
+    for side in (0, 1):
+        here = (gaps.pairs[:, side] >= 0) & (gaps.gap > 0.0)
+        least, rates = served[gaps.pairs[here, side]], gaps.rates[here, side]
+        part[here] = np.maximum(part[here], (np.sinh(0.5 * least) / np.sinh(0.5 * rates)) ** 2)
+    return np.asarray(gaps.gap * (1.0 - part))
 
 
 def _nodes_for(rate: float, tolerance: float, factor: float) -> int:
@@ -159,7 +173,8 @@ class Solution:
     """One solved instant: each body's exterior flow, motion and load, and what the solver did.
 
     velocity, angular_velocity, force, torque (N, 3), space frame; force and torque are exerted by
-    the bodies ON the fluid. took: iterations of GMRES, and the relative residual they left.
+    the bodies ON the fluid. took: iterations of GMRES, and the relative residual they left. alone:
+    largest speed of surfaces that given loads would give to each body alone.
     """
 
     problem: Coupled
@@ -171,6 +186,7 @@ class Solution:
     took: tuple[int, float]
     unknowns: Array = field(repr=False)
     _again: Callable[[list[int]], Solution] = field(repr=False)
+    alone: float = 0.0
 
     @property
     def nodes(self) -> list[int]:
@@ -193,6 +209,23 @@ class Solution:
         return self._again(self.problem.coarser)
 
     @cached_property
+    def sizes(self) -> dict[str, float]:
+        """What errors are relative to: the largest of a kind, velocities or loads, by the arm.
+
+        Velocities of bodies under loads are made of those that the loads give each alone.
+        """
+        arm = max(body.size * body.shape.radius for body in self.problem.bodies)
+        found: dict[str, float] = {}
+        # Powers of the arm by which quantities of a kind are of one size: moments and forces.
+        for least, kind in (
+            (self.alone, {"velocity": 0, "angular_velocity": 1}),
+            (0.0, {"force": 1, "torque": 0, "stresslet": 0}),
+        ):
+            whole = [np.abs(getattr(self, name)).max() * arm**p for name, p in kind.items()]
+            found |= {name: float(max(least, *whole)) / arm**p for name, p in kind.items()}
+        return found
+
+    @cached_property
     def error_estimate(self) -> dict[str, float]:
         """Estimated largest errors of velocity, angular_velocity, force, torque and stresslet.
 
@@ -200,17 +233,12 @@ class Solution:
         motion or loads have none.
         """
         problem, coarse = self.problem, self.coarser
-        arm = max(body.size * body.shape.radius for body in problem.bodies)
-        # Powers of the arm by which quantities of a kind are of one size: moments and forces.
-        kinds: tuple[dict[str, int], ...] = (
-            {"velocity": 0, "angular_velocity": 1},
-            {"force": 1, "torque": 0, "stresslet": 0},
-        )
-        found = {}
-        for kind in kinds:
-            whole = {name: np.abs(getattr(self, name)).max() * arm**p for name, p in kind.items()}
-            for name, power in kind.items():
-                size = max(whole.values()) / arm**power
-                pair = getattr(self, name), getattr(coarse, name)
-                found[name] = problem.estimated(*pair, float(size))
-        return found
+        return {
+            name: problem.estimated(getattr(self, name), getattr(coarse, name), size)
+            for name, size in self.sizes.items()
+        }
+
+    @property
+    def relative_errors(self) -> dict[str, float]:
+        """The same as shares of `sizes`."""
+        return {name: e / self.sizes[name] for name, e in self.error_estimate.items() if e}

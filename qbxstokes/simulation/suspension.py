@@ -21,7 +21,6 @@ from qbxstokes.simulation.solved_instant import (
     Solution,
     choose_nodes,
     flow_nodes_on,
-    least_rate,
     probed_nodes,
 )
 from qbxstokes.simulation.surroundings import Wall
@@ -125,11 +124,6 @@ class Suspension:
         if flow.steady and flow.degree is not None:
             self._known = flow
         return chosen
-
-    @property
-    def least_rate(self) -> float:
-        """The least rate of decay of a gap (`geometry.gaps`) that the tolerance is served at."""
-        return least_rate(self.tolerance)
 
     def problem(
         self, places: Sequence[Placed], nodes: Sequence[int] | None = None, looser: float = 1.0
@@ -370,7 +364,12 @@ class Suspension:
             return self.freed(self.problem(problem.bodies, nodes, _LOOSER), loads, background)
 
         (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
-        return Solution(problem, flows, v, omega, force, torque, solver.latest, x, again)
+        found = problem, flows, v, omega, force, torque, solver.latest, x, again
+        speeds = [
+            max(np.abs(one[:3]).max(), place.shape.radius * np.abs(one[3:]).max())
+            for (one, _), place in zip(alone, problem.bodies, strict=True)
+        ]
+        return Solution(*found, float(max(speeds)))
 
     def _each(self, vectors: ArrayLike | None) -> Array:
         given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
