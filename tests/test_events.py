@@ -15,7 +15,7 @@ from qbxstokes.flows.domain import channel, tube
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.motion.contacts import Contacts, edge_gap, singular_gap
+from qbxstokes.motion.contacts import Contacts, edge_gap, root, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.events import (
     Event,
@@ -25,7 +25,6 @@ from qbxstokes.motion.events import (
     steady,
     turning_point,
 )
-from qbxstokes.motion.roots import root
 from qbxstokes.petsc.leaps import Leaps
 from qbxstokes.petsc.stepper import integrate
 from qbxstokes.petsc.trajectory import Checkpoint, Chunk

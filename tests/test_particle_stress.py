@@ -12,7 +12,7 @@ import spheroid_stress
 
 import qbxstokes as qs
 from qbxstokes.geometry.symmetric import components
-from qbxstokes.motion.means import mean_of
+from qbxstokes.motion.averages import mean_of
 from qbxstokes.reference import stress
 
 SHEAR = qs.flow("shear")

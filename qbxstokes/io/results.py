@@ -21,7 +21,7 @@ from qbxstokes.folders import unreadable
 from qbxstokes.io.format import FORMAT, FORMAT_VERSION, PARTS, is_dimension, open_file, read_tree
 from qbxstokes.io.listing import Held, LazyArrays, listing
 from qbxstokes.io.names import newest
-from qbxstokes.motion.means import Mean, mean_of
+from qbxstokes.motion.averages import Mean, mean_of
 from qbxstokes.typing import AnyArray
 
 if TYPE_CHECKING:

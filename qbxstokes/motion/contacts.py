@@ -5,8 +5,9 @@ ends of a step it is followed as closely as is needed to miss no touch, and wher
 found as a root on the integrator's own states, for any number of lanes at once.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,74 @@ from qbxstokes.flows.domain import Edge
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.layout import ORIENTATION, POSITION, Step
-from qbxstokes.motion.roots import root
 from qbxstokes.typing import Array
 
 # The path of the surface is taken to be at most so much longer than its chord.
 _BENT = 2.0
 # A piece of a step in which the surface moves by less than this part of the body is not cut.
 _FINEST = 1e-3
+_MOST = 60
+_EPSILON = 2.0**-50
+
+# An instant, the state there, and what is seen in it.
+Moment = tuple[float, Any, Any]
+
+
+def intervals(
+    state: Callable[[float], Any],
+    begin: Moment,
+    end: Moment,
+    look: Callable[[Any], Any],
+    doubt: Any,
+) -> Iterator[tuple[Moment, Moment]]:
+    """The intervals into which one is cut so that nothing is missed inside any, in their order.
+
+    A moment is an instant, the state there and what `look` makes of it. doubt: whether something
+    may lie between two moments; those in between are asked for their states then.
+    """
+    todo = [end]
+    while todo:
+        middle = 0.5 * (begin[0] + todo[-1][0])
+        if begin[0] < middle < todo[-1][0] and doubt(begin, todo[-1]):
+            there = state(middle)
+            todo.append((middle, there, look(there)))
+            continue
+        yield begin, todo[-1]
+        begin = todo.pop()
+
+
+def root(function: Callable[[float], float], a: float, b: float, fa: float, fb: float) -> float:
+    """Zero of a function between a and b, where it has the values fa and fb of different signs.
+
+    Inverse quadratic interpolation safeguarded by bisection (T. R. Chandrupatla 1997, Adv. Eng.
+    Softw. 28, 145); to rounding of the argument.
+    """
+    if fa == 0.0 or fb == 0.0:
+        return a if fa == 0.0 else b
+    t, best = fa / (fa - fb), a  # the first guess is the secant's
+    for _ in range(_MOST):
+        x = a + t * (b - a)
+        fx = function(x)
+        if fx == 0.0:
+            return x
+        if (fx > 0.0) == (fa > 0.0):
+            c, fc = a, fa
+        else:
+            c, b, fc, fb = b, a, fb, fa
+        a, fa = x, fx
+        best = a if abs(fa) < abs(fb) else b
+        if a == b:
+            return best
+        nearest = (_EPSILON * abs(best) + 1e-300) / abs(b - a)
+        if nearest >= 0.5:
+            return best
+        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+        t = 0.5
+        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            t = fa / (fb - fa) * fc / (fb - fc)
+            t += (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+        t = min(1.0 - nearest, max(nearest, t))
+    return best
 
 
 @dataclass(frozen=True)
@@ -108,25 +170,20 @@ class Contacts:
         if self._before is None or self._before[0] != step.before:
             self._before = step.before, self.distances(step.start)
         begin = (step.before, step.start, self._before[1])
-        todo = [(step.after, step.end, self.distances(step.end))]
+        end = (step.after, step.end, self.distances(step.end))
         found: list[Contact] = []
-        while todo:
-            end = todo[-1]
-            travel = self._travel(begin[1], end[1])
-            # Neither end is beyond, but what lies between may be.
-            near = (end[2] > 0.0) & (begin[2] + end[2] < travel)
-            if np.any(near & (travel > _FINEST * self._arm)):
-                middle = 0.5 * (begin[0] + end[0])
-                if begin[0] < middle < end[0]:
-                    states = step.state(middle)
-                    todo.append((middle, states, self.distances(states)))
-                    continue
-            found += self._crossings(step, begin, end)
-            begin = todo.pop()
-            begin[2][:, list(self.ended)] = np.inf
-        self._before = begin[0], begin[2]
+        for one, other in intervals(step.state, begin, end, self.distances, self._doubt):
+            found += self._crossings(step, one, other)
+            other[2][:, list(self.ended)] = np.inf
+        self._before = end[0], end[2]
         self._note(*self._before)
         return sorted(found, key=lambda contact: contact.t)
+
+    def _doubt(self, begin: Moment, end: Moment) -> bool:
+        """Whether something may lie between two moments of which neither is beyond."""
+        travel = self._travel(begin[1], end[1])
+        near = (end[2] > 0.0) & (begin[2] + end[2] < travel)
+        return bool(np.any(near & (travel > _FINEST * self._arm)))
 
     def _far(self, step: Step) -> bool:
         """Whether every lane is a body length and its way from everything, at both ends."""

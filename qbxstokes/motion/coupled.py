@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.equations import RigidBodyEquations
@@ -32,9 +33,7 @@ from qbxstokes.motion.layout import (
     Layout,
 )
 from qbxstokes.motion.loads import Constraints
-from qbxstokes.motion.wall_constants import WallConstants
-
-Array = NDArray[np.float64]
+from qbxstokes.typing import Array
 
 _MEETING = 4.0  # times that an error grows as two bodies pass each other
 # Step of the differences of a Jacobian, well above the error of the rates.
@@ -42,6 +41,25 @@ _STEP = 1e-4
 # Newton steps at one instant that show that a resistance is out of date, and instants that it
 # serves at least.
 _SLOW, _LASTING = 5, 5
+
+
+@dataclass(frozen=True)
+class WallConstants:
+    """The arguments of `over_wall.rate` besides the state, for one body over a wall.
+
+    load (6,): force and torque, in space. plane (3, 3): normal, point and velocity of the wall.
+    ratio: k; size: the polar radius. terms (5, 3): of the flow. first: the first cell; cells and
+    pieces: the table so far.
+    """
+
+    load: Array
+    plane: Array
+    ratio: float
+    size: float
+    terms: Array
+    first: int
+    cells: Array
+    pieces: Array
 
 
 class SharedFluid(Protocol):

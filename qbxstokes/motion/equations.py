@@ -32,7 +32,7 @@ import numpy as np
 from qbxstokes.errors import FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import taylor
-from qbxstokes.motion.growth import growth
+from qbxstokes.motion.diagnostics import growth
 from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_MASSLESS, ORIENTATION, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads

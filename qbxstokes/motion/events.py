@@ -9,21 +9,19 @@ States are rows of one body: x, q and, for St > 0, V and W (numbers, see `equati
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.averages import ShearFrame
-from qbxstokes.motion.contacts import Contacts
+from qbxstokes.motion.contacts import Contacts, Moment, intervals, root
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
 from qbxstokes.motion.frames import symmetry_axis
 from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY, Step
-from qbxstokes.motion.roots import root
 from qbxstokes.typing import Array
 
 Row = Sequence[float]
@@ -205,7 +203,7 @@ class Events(EventLog):
     def __call__(self, step: Step) -> float | None:
         """Events of a step, recorded in order; the instant at which the run ends, if it does."""
         reached = None if self.contacts is None else next(iter(self.contacts(step)), None)
-        for (t0, y0), (t1, y1) in pairwise(self._pieces(step)):
+        for (t0, y0, _), (t1, y1, _) in self._pieces(step):
             hits = []
             if reached is not None and t0 <= reached.t <= t1:
                 ends = Event(reached.name, lambda t, y: 0.0, ends=True, reason=reached.reason)
@@ -221,22 +219,21 @@ class Events(EventLog):
                     return t
         return None
 
-    def _pieces(self, step: Step) -> list[tuple[float, Row]]:
-        """Instants and states that cut the step so that no half-turn is passed over."""
-        begin: tuple[float, Row] = (step.before, step.start[0].tolist())
-        todo: list[tuple[float, Row]] = [(step.after, step.end[0].tolist())]
-        if self.passage is None:
-            return [begin, *todo]
-        angle, done = self.passage.angle, [begin]
-        while todo:
-            (t0, y0), (t1, y1) = done[-1], todo[-1]
-            turn = abs(math.remainder(angle(y1) - angle(y0), 2.0 * math.pi))
-            if turn > LARGEST_TURN and t1 - t0 > 1e-9 * (step.after - step.before):
-                middle = 0.5 * (t0 + t1)
-                todo.append((middle, step.state(middle)[0].tolist()))
-            else:
-                done.append(todo.pop())
-        return done
+    def _pieces(self, step: Step) -> Iterator[tuple[Moment, Moment]]:
+        """Parts of the step, cut so that no half-turn is passed over."""
+        least = 1e-9 * (step.after - step.before)
+
+        def row(t: float) -> Row:
+            return step.state(t)[0].tolist()  # type: ignore[no-any-return]
+
+        def doubt(begin: Moment, end: Moment) -> bool:
+            turn = abs(math.remainder(end[2] - begin[2], 2.0 * math.pi))
+            return turn > LARGEST_TURN and end[0] - begin[0] > least
+
+        angle = self.passage.angle if self.passage is not None else lambda y: 0.0
+        first, last = step.start[0].tolist(), step.end[0].tolist()
+        ends = (step.before, first, angle(first)), (step.after, last, angle(last))
+        return intervals(row, *ends, angle, doubt)
 
     def _crossing(
         self, event: Event, step: Step, t0: float, y0: Row, t1: float, y1: Row

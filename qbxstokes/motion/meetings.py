@@ -13,10 +13,10 @@ import numpy as np
 
 from qbxstokes.errors import ContactError, ConvergenceError, FlowError
 from qbxstokes.geometry import rotation
+from qbxstokes.motion.contacts import Moment, intervals, root
 from qbxstokes.motion.coupled import CoupledEquations
 from qbxstokes.motion.events import EventLog
 from qbxstokes.motion.layout import N_MASSLESS, ORIENTATION, POSITION, Step
-from qbxstokes.motion.roots import root
 from qbxstokes.typing import Array
 
 # The paths of the surfaces are taken to be at most so much longer than their chords.
@@ -115,26 +115,23 @@ class Meetings(EventLog):
         known = self._latest is not None and self._latest[0] == step.before
         near_start = self._latest[1] if known and self._latest else self.nearness(step.start)
         begin = (step.before, step.start, near_start)
-        todo = [(step.after, step.end, self.nearness(step.end))]
-        if step.costly and self._clear(step, near_start, todo[0][2]):
-            begin = todo.pop()
-            self._note(begin[0], begin[2], begin[1])
-        while todo:
-            end = todo[-1]
-            travel = self._travel(begin[1], end[1])
-            near = end[2].room > 0.0 and begin[2].room + end[2].room < travel
-            middle = 0.5 * (begin[0] + end[0])
-            if near and travel > _FINEST * self.arm.min() and begin[0] < middle < end[0]:
-                states = step.state(middle)
-                todo.append((middle, states, self.nearness(states)))
-                continue
-            if end[2].room <= 0.0:
-                return self._crossing(step, begin[0], begin[2], end)
-            begin = todo.pop()
-            self._note(begin[0], begin[2], begin[1])
-        self._latest = begin[0], begin[2]
-        self._least(step, near_start.gap, begin[2].gap)
+        end = (step.after, step.end, self.nearness(step.end))
+        if step.costly and self._clear(step, near_start, end[2]):
+            self._note(end[0], end[2], end[1])
+        else:
+            for one, other in intervals(step.state, begin, end, self.nearness, self._doubt):
+                if other[2].room <= 0.0:
+                    return self._crossing(step, one[0], one[2], other)
+                self._note(other[0], other[2], other[1])
+        self._latest = end[0], end[2]
+        self._least(step, near_start.gap, end[2].gap)
         return None
+
+    def _doubt(self, begin: Moment, end: Moment) -> bool:
+        """Whether bodies may have met between two moments of which the second is well."""
+        travel = self._travel(begin[1], end[1])
+        near = end[2].room > 0.0 and begin[2].room + end[2].room < travel
+        return bool(near and travel > _FINEST * self.arm.min())
 
     def _clear(self, step: Step, before: Nearness, after: Nearness) -> bool:
         """Whether the cubics that have the states and rates of a step's ends keep their distance.
@@ -149,19 +146,14 @@ class Meetings(EventLog):
         if (found := self._cubic(step)) is None:
             return False
         cubic, margin = found
-        begin, todo = (0.0, step.start, before), [(1.0, step.end, after)]
-        while todo:
-            s, states, near = todo[-1]
-            travel = self._travel(begin[1], states)
-            if near.room <= margin or begin[2].room <= margin:
-                return False
-            if begin[2].room + near.room - 2.0 * margin >= travel:
-                begin = todo.pop()
-                continue
-            middle = 0.5 * (begin[0] + s)
-            states = cubic(middle)
-            todo.append((middle, states, self.nearness(states)))
-        return True
+
+        def doubt(begin: Moment, end: Moment) -> bool:
+            rooms = begin[2].room - margin, end[2].room - margin
+            return bool(min(rooms) > 0.0 and sum(rooms) < self._travel(begin[1], end[1]))
+
+        ends = (0.0, step.start, before), (1.0, step.end, after)
+        parts = intervals(cubic, *ends, self.nearness, doubt)
+        return all(min(one[2].room, other[2].room) > margin for one, other in parts)
 
     def _cubic(self, step: Step) -> tuple[Callable[[float], Array], float] | None:
         """States at parts of a step by its ends' states and rates, and what they may be off.

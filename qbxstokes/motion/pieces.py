@@ -19,9 +19,8 @@ from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import frames
-from qbxstokes.motion.bodies import Bodies
 from qbxstokes.motion.flow_rows import FlowRows
-from qbxstokes.motion.lanes import ForceTorque, FreeMotion, PerLane, provider_of
+from qbxstokes.motion.lanes import Bodies, ForceTorque, FreeMotion, PerLane, provider_of
 from qbxstokes.motion.layout import (
     N_INERTIAL,
     N_MASSLESS,

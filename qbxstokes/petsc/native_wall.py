@@ -17,8 +17,8 @@ from numba.extending import intrinsic
 
 from qbxstokes.errors import ContactError, FlowError
 from qbxstokes.folders import compiled_are_kept
+from qbxstokes.motion.coupled import WallConstants
 from qbxstokes.motion.over_wall import rate
-from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.petsc.native import SIGNATURE, Native, closed, opened, pointer
 from qbxstokes.typing import Array
 

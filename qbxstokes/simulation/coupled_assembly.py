@@ -18,11 +18,10 @@ from qbxstokes.errors import ContactError, FlowError, SceneError, Stopping
 from qbxstokes.flows.interpolation import Between
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components, symmetric
-from qbxstokes.motion.coupled import CoupledEquations
+from qbxstokes.motion.coupled import CoupledEquations, WallConstants
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.motion.meetings import Meetings, Nearness
 from qbxstokes.motion.observables import observe
-from qbxstokes.motion.wall_constants import WallConstants
 from qbxstokes.petsc.trajectory import Watch
 from qbxstokes.quantities import MOTION, of_event
 from qbxstokes.simulation import arguments as given

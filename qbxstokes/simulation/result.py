@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.symmetric import components, symmetric
-from qbxstokes.motion.means import Mean, mean_of
+from qbxstokes.motion.averages import Mean, mean_of
 from qbxstokes.quantities import MOTION, RECORDABLE, STRESS, of_event
 from qbxstokes.simulation.watching import ending, events_summary, split_columns
 from qbxstokes.typing import Array

@@ -21,7 +21,7 @@ from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.io.cache import Cache
-from qbxstokes.motion.wall_constants import WallConstants
+from qbxstokes.motion.coupled import WallConstants
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.surroundings import Wall
 from qbxstokes.simulation.suspension import Suspension
