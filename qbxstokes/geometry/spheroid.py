@@ -95,10 +95,6 @@ class Spheroid(Revolution):
         """d rho/d theta and dz/d theta."""
         return self.aspect_ratio * np.cos(theta), -np.sin(theta)
 
-    def second(self, theta: Array) -> tuple[Array, Array]:
-        """Second derivatives of rho and z."""
-        return -self.aspect_ratio * np.sin(theta), -np.cos(theta)
-
     def difference(self, theta: Array, at: float) -> tuple[Array, Array]:
         """rho and z at theta less those at one place, exact to rounding however close they are."""
         half = np.sin(0.5 * (theta - at))
