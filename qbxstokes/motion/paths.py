@@ -25,7 +25,7 @@ import numpy as np
 
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.motion import inertial_paths, path_statistics, random_turns
-from qbxstokes.motion.inertial_paths import turn_inertial, workroom
+from qbxstokes.motion.inertial_paths import part_of, turn_inertial, workroom
 from qbxstokes.motion.path_statistics import (
     LANES,
     add_stresses,
@@ -194,27 +194,12 @@ def turn(m: Any, terms: Any, series: Any, p: Any) -> None:
         p[2, b] *= length
 
 
-@inner
-def part_of(m: Any, lane: int, start: float, share: float, out: Any) -> None:
-    """The powers of one lane on [start, start + share] of the interval, in its own time."""
-    degrees = m.shape[0]
-    for i in range(9):
-        for k in range(degrees):
-            out[k, i, 0] = m[k, i, lane]
-        for k in range(degrees - 1):  # Horner's scheme, once for each derivative
-            for j in range(degrees - 2, k - 1, -1):
-                out[j, i, 0] += start * out[j + 1, i, 0]
-        scale = share
-        for k in range(degrees):
-            out[k, i, 0] *= scale
-            scale *= share
-
-
 @compiled
 def far_lane(m: Any, lane: int, tolerance: float, p: Any) -> None:
     """The axis of a lane that turns too far for one series, in as many parts as it takes."""
     degrees = m.shape[0]
     part, q = np.zeros((degrees, 9, LANES)), np.zeros((3, LANES))
+    start, share, scale = np.zeros(LANES), np.zeros(LANES), np.empty(LANES)
     work, series = np.empty((degrees + 2 + TERMS, LANES)), np.empty((TERMS, 3, LANES))
     terms = np.empty(LANES, np.int64)
     size = 0.0
@@ -226,13 +211,14 @@ def far_lane(m: Any, lane: int, tolerance: float, p: Any) -> None:
     parts = int(size / REACH) + 1
     q[2] = 1.0
     for i in range(3):
-        q[i, 0] = p[i, lane]
+        q[i, lane] = p[i, lane]
     for place in range(parts):
-        part_of(m, lane, place / parts, 1.0 / parts, part)
+        start[lane], share[lane] = place / parts, 1.0 / parts
+        part_of(m, start, share, scale, part)
         terms_of(part, work, terms, tolerance / parts)
         turn(part, terms, series, q)
     for i in range(3):
-        p[i, lane] = q[i, 0]
+        p[i, lane] = q[i, lane]
 
 
 @inner

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,26 @@ WHAT: dict[str, tuple[int, ...]] = {
 SURFACE_MARGIN = 1e-12
 # Singular values of the single layer below this are its null space (the normal's pressure).
 _RANK_TOLERANCE = 1e-13
+
+
+def values_of(numbers: Array, what: Collection[str] = tuple(WHAT)) -> dict[str, Array]:
+    """Some of WHAT from rows of u, p, stress, vorticity and the pressure's gradient, (N, 16)."""
+    places: dict[str, Any] = {
+        "velocity": slice(3),
+        "pressure": 3,
+        "stress": slice(4, 10),
+        "pressure_gradient": slice(13, 16),
+    }
+    found = {
+        name: np.ascontiguousarray(numbers[:, place])
+        for name, place in places.items()
+        if name in what
+    }
+    stress, spin, pressure = numbers[:, 4:10], numbers[:, 10:13], numbers[:, 3, None, None]
+    if "gradient" in what:  # half of stress + p I, and what turns with the vorticity
+        turning = np.cross(spin[:, None], np.eye(3))
+        found["gradient"] = 0.5 * (symmetric(stress) - turning + pressure * np.eye(3))
+    return found
 
 
 @dataclass(frozen=True)
@@ -78,11 +99,10 @@ class ExteriorFlow:
         """
         from qbxstokes.qbx.exterior_kernel import evaluate
 
-        h, n, size = self.harmonics, len(points), self.amplitude
+        h, size = self.harmonics, self.amplitude
         if {"gradient", "pressure_gradient"} & set(what):
             size = size * (np.arange(len(size)) + 1.0)
-        u, p = np.empty((n, 3)), np.empty(n)
-        second = np.empty((n if set(what) - {"velocity", "pressure"} else 0, 12))
+        out = np.empty((len(points), 16 if set(what) - {"velocity", "pressure"} else 4))
         evaluate(
             np.ascontiguousarray(points, dtype=float),
             h.ratio_of_axes,
@@ -93,19 +113,9 @@ class ExteriorFlow:
             size,
             tolerance,
             SURFACE_MARGIN,
-            u,
-            p,
-            second,
+            out,
         )
-        found = {"velocity": u, "pressure": p}
-        even, odd = second[:, :6], second[:, 6:9]
-        if "gradient" in what:
-            found["gradient"] = symmetric(even) + np.cross(odd[:, None], np.eye(3))
-        if "pressure_gradient" in what:
-            found["pressure_gradient"] = second[:, 9:]
-        if "stress" in what:
-            found["stress"] = 2.0 * even - np.multiply.outer(p, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-        return found
+        return values_of(out, {"velocity", "pressure", *what})
 
 
 @dataclass(frozen=True)

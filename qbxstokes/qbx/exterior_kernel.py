@@ -222,31 +222,25 @@ def evaluate(  # type: ignore[no-untyped-def]
     amplitude,
     tolerance,
     margin,
-    velocity,
-    pressure,
-    second,
+    out,
 ):
-    """Velocity, pressure and derivatives of u = B + grad(C - x . B), x held, at points (N, 3).
+    """Fill out (N, 4 or 16) at points (N, 3): u = B + grad(C - x . B), x held, p and the rest.
 
     c (4, 2 K): packed coefficients of B_x, B_y, B_z and C; k, orders, start, recurrence: as in
     `tabulate`. amplitude (degree + 1): size of the terms of each degree on the surface; at a point,
     degrees whose sum stays below tolerance are left out. The pressure is -2 div B and the gradient
     d_j u_i = d_i d_j (C - x . B) + d_j B_i - d_i B_j (Papkovich and Neuber; Kim & Karrila 1991,
-    sec. 4.2). second (N, 12), or (0, 12): its even part xx, yy, zz, xy, xz, yz, its odd part yz,
-    zx, xy, and the pressure's gradient. Points inside the surface by more than margin (in the sum
-    of squares that is 1 on it) get NaN.
+    sec. 4.2). The rest: stress xx, yy, zz, xy, xz, yz, vorticity, and the pressure's gradient.
+    Points inside the surface by more than margin (in the sum of squares that is 1 on it) get NaN.
     """
-    e2, with_second, top = (1.0 - k) * (1.0 + k), second.shape[0] > 0, amplitude.shape[0] - 1
+    e2, with_second, top = (1.0 - k) * (1.0 + k), out.shape[1] > 4, amplitude.shape[0] - 1
     table = np.empty((10 if with_second else 4, 1, c.shape[1]))
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         rho2 = x * x + y * y
         # NaN coordinates fail the comparison and are marked as well.
         if not (rho2 / (k * k) + z * z >= 1.0 - margin):
-            velocity[i, :] = np.nan
-            pressure[i] = np.nan
-            if with_second:
-                second[i, :] = np.nan
+            out[i, :] = np.nan
             continue
         degree = top
         if tolerance > 0.0:
@@ -277,19 +271,18 @@ def evaluate(  # type: ignore[no-untyped-def]
                 h3, h4, h5 = table[7, 0, j], table[8, 0, j], table[9, 0, j]
                 xx, yy, zz = xx + h0 * s, yy + h1 * s, zz + h2 * s
                 xy, xz, yz = xy + h3 * s, xz + h4 * s, yz + h5 * s
-                s0 += b1 * g2 - b2 * g1
-                s1 += b2 * g0 - b0 * g2
-                s2 += b0 * g1 - b1 * g0
+                s0 += b2 * g1 - b1 * g2
+                s1 += b0 * g2 - b2 * g0
+                s2 += b1 * g0 - b0 * g1
                 p0 += h0 * b0 + h3 * b1 + h4 * b2
                 p1 += h3 * b0 + h1 * b1 + h5 * b2
                 p2 += h4 * b0 + h5 * b1 + h2 * b2
-        velocity[i, 0], velocity[i, 1], velocity[i, 2] = u, v, w
-        pressure[i] = -2.0 * div
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = u, v, w, -2.0 * div
         if with_second:
-            second[i, 0], second[i, 1], second[i, 2] = xx, yy, zz
-            second[i, 3], second[i, 4], second[i, 5] = xy, xz, yz
-            second[i, 6], second[i, 7], second[i, 8] = s0, s1, s2
-            second[i, 9], second[i, 10], second[i, 11] = -2.0 * p0, -2.0 * p1, -2.0 * p2
+            out[i, 4], out[i, 5], out[i, 6] = 2.0 * (xx + div), 2.0 * (yy + div), 2.0 * (zz + div)
+            out[i, 7], out[i, 8], out[i, 9] = 2.0 * xy, 2.0 * xz, 2.0 * yz
+            out[i, 10], out[i, 11], out[i, 12] = 2.0 * s0, 2.0 * s1, 2.0 * s2
+            out[i, 13], out[i, 14], out[i, 15] = -2.0 * p0, -2.0 * p1, -2.0 * p2
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)

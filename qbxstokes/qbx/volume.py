@@ -17,7 +17,7 @@ import numpy as np
 
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.symmetric import components, symmetric
-from qbxstokes.qbx.exterior import SURFACE_MARGIN, WHAT
+from qbxstokes.qbx.exterior import SURFACE_MARGIN, values_of
 from qbxstokes.qbx.kernel import density_parts, interpolation
 from qbxstokes.qbx.modes import to_modes
 from qbxstokes.qbx.operator import GradedScheme
@@ -75,12 +75,7 @@ class LayerPotentials:
                 rule = self._scheme.rule(shape, theta, 1, len(self._modes), away)
             order = self.expansion_order if chosen == "expansion" else -1
             out[i] = self._sum(points[i], theta, distance, radius, order, rule)
-        stress, spin = out[:, 4:10], out[:, 10:13]
-        # grad u is half of stress + p I and of what turns with the vorticity: u_i,j - u_j,i.
-        gradient = 0.5 * (symmetric(stress) - np.cross(spin[:, None], np.eye(3)))
-        gradient += 0.5 * out[:, 3, None, None] * np.eye(3)
-        values = out[:, :3], gradient, out[:, 3], out[:, 13:], stress
-        return dict(zip(WHAT, values, strict=True)), used
+        return values_of(out), used
 
     def by_rule(self, points: Array, rule: Rule) -> Array:
         """Velocity (N, 3) at points outside by the plain kernel on one source rule for all."""
