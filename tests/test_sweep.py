@@ -547,7 +547,7 @@ def test_a_stopped_sweep_goes_on_where_it_was(
     assert same(tmp_path / "whole.h5", tmp_path / "case.h5")
     assert not folder.exists()
     assert run_command([str(path), "--resume"]) == 0
-    assert "complete, nothing to resume" in capfd.readouterr().out
+    assert "finished already, nothing to resume" in capfd.readouterr().out
 
 
 def test_a_block_in_work_goes_on_from_its_state(

@@ -106,7 +106,7 @@ def test_what_lacks_a_part_is_told_and_mended(shown: Path, run_cli: Run, tmp_pat
 def test_it_is_left_alone_or_merged_or_replaced(shown: Path, run_cli: Run, tmp_path: Path) -> None:
     whole = contents(tmp_path / "whole.h5")
     told = run_cli("case.yaml", "--resume")
-    assert "complete, nothing to resume" in told.stdout
+    assert "finished already, nothing to resume" in told.stdout
     # A new run takes a name of its own, also where the parts alone are left.
     assert run_cli("case.yaml", "--quiet").returncode == 0
     assert contents(tmp_path / "case-1.h5") == whole

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from qbxstokes.simulation.coupled import CoupledSimulation
 
 
-def run_body(job: Job) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Compute a body, or bodies that share a fluid, and write the result; returns the summary.
 
     Of one body rank 0 computes, so that any number of ranks gives its numbers; all form the rows.

@@ -169,47 +169,38 @@ def compute_case(
                 target = on_root(comm, planned)
                 plan = own[1] if own else plan
             job = Job(comm, loaded, plan, target, options, petsc, clock, interruption)
-            sweep = loaded.case.sweep
-            if sweep is not None and sweep.store == "statistics":
-                from qbxstokes.runs.ensemble import ensemble_command
-
-                return ensemble_command(job)
-            if loaded.space is not None:
-                from qbxstokes.runs.sweep import sweep_command
-
-                return sweep_command(job)
             return carry_out(job)
 
 
 def carry_out(job: Job) -> int:
-    """Plan and summary of a single motion, body or field; returns the exit status."""
-    loaded = job.loaded
+    """Plan, run and sum up what a case asks for; returns the exit status."""
+    loaded, sweep = job.loaded, job.loaded.case.sweep
+    name, report = str(loaded.case.task), "summary"
+    if loaded.space is not None:
+        name = "ensemble" if sweep.store == "statistics" else "sweep"
+        report = f"{name}_report"
     with job.clock.part("import"):
-        from qbxstokes.runs.plan_report import plan_facts, plan_text
-        from qbxstokes.runs.summary import missed, remarks, summary_text
-
-    def planned() -> tuple[dict[str, Any], str]:
-        from qbxstokes.runs.cost import seconds_of
-
-        seconds = seconds_of(loaded, job.plan) if job.options.dry_run else None
-        facts = {**plan_facts(job.plan, job.target), "seconds": seconds}
-        text = plan_text(loaded, job.plan, job.target, seconds)
-        return {"case": str(loaded.path), "plan": facts}, text
-
+        told = import_module(f"qbxstokes.runs.{report}")
     job.start()
-    if job.tells_plan(planned):
+    if job.tells_plan(lambda: told.planned(job)):
         return 0
-    task = loaded.case.task
     with job.clock.part("import"):
-        run = getattr(import_module(f"qbxstokes.runs.{task}"), f"run_{task}")
-    summary = run(job)
+        task = import_module(f"qbxstokes.runs.{name}")
+    summary: dict[str, Any] = task.run(job)
     if "finished_before" in summary:
         job.tell(summary, lambda: f"{summary['result']}: finished already, nothing to resume")
         return 0
+    job.conclude(summary, lambda: told.summary_text(job, summary))
+    limit, error = loaded.case.compare.tolerance, summary.get("largest_error")
+    missed = limit is not None and error is not None and not error <= limit  # NaN, too
     if job.comm.rank == 0:
-        for problem in (*summary.get("cache_problems", ()), *folders.problems):
-            print(f"qbxstokes: cache: {problem}", file=sys.stderr)
-        job.conclude(summary, lambda: summary_text(loaded, job.plan, summary))
-        for remark in remarks(loaded, summary):
+        caches = (*summary.get("cache_problems", ()), *folders.problems)
+        remarks = [*(f"cache: {problem}" for problem in caches), *loaded.remarks]
+        for name in summary["unused_petsc_options"]:
+            remarks.append(f"PETSc option -{name} was not used by anything")
+        remarks += told.remarks(job, summary)
+        if missed:
+            remarks.append(f"largest error {error:.1e} exceeds compare.tolerance {limit:g}")
+        for remark in remarks:
             print(f"qbxstokes: {remark}", file=sys.stderr)
-    return ConvergenceError.exit_status if missed(loaded, summary) else 0
+    return ConvergenceError.exit_status if missed or summary.get("failed") else 0

@@ -27,7 +27,6 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import of_ensemble
 from qbxstokes.runs.destination import identity_of, working_folder
-from qbxstokes.runs.ensemble_report import plan_facts, plan_text, summary_text
 from qbxstokes.runs.gathering import Crew, Gathering, notes, seconds_between
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import compilation_told
@@ -46,26 +45,6 @@ UNITS = "units"  # the parts of an ensemble
 ORIENTATION = ("start", "orientation")
 # Most units, and bytes that their sums take together: rank 0 holds them all at the end.
 _MOST_UNITS, _MOST_BYTES = 1024, 256 * 2**20
-
-
-def ensemble_command(job: Job) -> int:
-    """Carry out a sweep with `store: statistics`; returns the exit status."""
-    loaded, ranks = job.loaded, job.comm.size
-    ensemble, swept = ensemble_of(loaded)
-
-    def planned() -> tuple[dict[str, Any], str]:
-        facts = plan_facts(ensemble, ranks)
-        return facts, plan_text(loaded, ensemble, facts, ranks)
-
-    if job.tells_plan(planned):
-        return 0
-    job.start()
-    summary = _run(job, ensemble, swept)
-    if "finished_before" in summary:
-        job.tell(summary, lambda: f"{summary['result']}: complete, nothing to resume")
-    else:
-        job.conclude(summary, lambda: summary_text(loaded, summary))
-    return 0
 
 
 # -- from the case --------------------------------------------------------------------------------
@@ -184,9 +163,10 @@ def units_of(ensemble: Ensemble) -> list[range]:
     return [range(start, min(start + per_unit, ensemble.blocks)) for start in starts]
 
 
-def _run(job: Job, ensemble: Ensemble, swept: dict[str, AnyArray]) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Follow all paths on all ranks; returns the summary on all of them."""
     comm, loaded = job.comm, job.loaded
+    ensemble, swept = ensemble_of(loaded)
     units = units_of(ensemble)
     identity = identity_of(loaded, [], units=len(units), block=BLOCK)
     every = seconds_between(loaded)

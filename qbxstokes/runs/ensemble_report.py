@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.flows.series import GradientSeries
 from qbxstokes.runs.destination import result_path
+from qbxstokes.runs.ensemble import ensemble_of
 from qbxstokes.runs.report import counted, duration, render, size
-from qbxstokes.simulation.ensemble import Ensemble, turns_with_inertia
+from qbxstokes.simulation.ensemble import turns_with_inertia
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 # Seconds on one core to begin, for a path and interval, for a body more of it, massless or not, and
 # for a look at it; an inertial one is divided where the flow turns by more than _SHORT in it.
@@ -21,8 +26,9 @@ _SUDDEN, _FASTEST = {"sextic": 1.0, "pieces": 1.0, "linear": 6.0, "hold": 25.0},
 _SAMPLED = 16  # paths that are read to know how long it takes
 
 
-def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
-    """What will be done, and what it takes."""
+def planned(job: Job) -> tuple[dict[str, Any], str]:
+    """What will be done, and what it takes, as data and as text."""
+    loaded, ranks, (ensemble, _) = job.loaded, job.comm.size, ensemble_of(job.loaded)
     series, bodies = ensemble.series, len(ensemble.bodies)
     lengths = np.diff(series.intervals[0])
     intervals = len(lengths)
@@ -44,7 +50,7 @@ def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
     work = cells * (_PATH + turning) + looks * _LOOK + reading * ensemble.paths
     if ensemble.settings.sampling and own:  # half of the samples again, for a block
         work *= 1.0 + 1.5 / ensemble.blocks
-    return {
+    facts: dict[str, Any] = {
         "paths": ensemble.paths,
         "samples": len(series.times),
         "bodies": bodies,
@@ -54,10 +60,6 @@ def plan_facts(ensemble: Ensemble, ranks: int) -> dict[str, Any]:
         + 8 * 3 * bodies * len(ensemble.looks) * min(ensemble.settings.keep, ensemble.paths),
         "seconds": {str(p): _BEGIN + work / p for p in sorted({1, ranks, 64})},
     }
-
-
-def plan_text(loaded: LoadedCase, ensemble: Ensemble, facts: dict[str, Any], ranks: int) -> str:
-    """The same to read."""
     seconds = facts["seconds"]
     runs = [
         ("paths", f"{facts['paths']} of {counted(facts['samples'], 'sample')}"),
@@ -69,14 +71,19 @@ def plan_text(loaded: LoadedCase, ensemble: Ensemble, facts: dict[str, Any], ran
         ("disk", f"{size(facts['bytes_on_disk'])} for {result_path(loaded)}"),
         ("time", f"about {duration(seconds[str(ranks)])} on {counted(ranks, 'rank')}"),
     ]
-    return _text(loaded, {"Runs": runs, "Needs": needs}) + "\n"
+    return facts, _text(loaded, {"Runs": runs, "Needs": needs}) + "\n"
 
 
 def _text(loaded: LoadedCase, sections: Any) -> str:
     return render(f"Ensemble: {loaded.case.title or loaded.path.stem}", str(loaded.path), sections)
 
 
-def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
+def remarks(_: Job, summary: dict[str, Any]) -> Iterator[str]:
+    """Nothing more is to be told."""
+    yield from ()
+
+
+def summary_text(job: Job, summary: dict[str, Any]) -> str:
     """What was found, how fast, and where it is."""
     bodies, sampling = counted(int(summary["bodies"]), "body", "bodies"), summary["sampling"]
     solved = [("paths", f"{summary['paths']}, {bodies} along each")]
@@ -96,4 +103,4 @@ def summary_text(loaded: LoadedCase, summary: dict[str, Any]) -> str:
         solved.append(("viscosity", f"[eta] = {told}"))
     spent = f"{duration(summary['wall_time'])} on {counted(summary['ranks'], 'rank')}"
     ended = {"Times": [("ensemble", spent)], "Result": [("file", summary["result"])]}
-    return _text(loaded, {"Solved": solved, **ended})
+    return _text(job.loaded, {"Solved": solved, **ended})

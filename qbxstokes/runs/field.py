@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FIELD = "field"
 
 
-def run_field(job: Job) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Carry out `task: field` on all ranks; returns the summary on all of them."""
     comm, loaded = job.comm, job.loaded
     seconds_between(loaded)

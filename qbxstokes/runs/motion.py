@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _BODIES = "bodies"  # the service of the other ranks to several bodies
 
 
-def run_motion(job: Job) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Carry out `task: motion` on all ranks; returns the summary.
 
     A single trajectory has nothing to share out: rank 0 computes it, so that any number of ranks

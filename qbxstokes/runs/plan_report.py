@@ -1,7 +1,9 @@
 """What a case is about and what its task needs and skips, told before the run."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qbxstokes.case.bodies import BodyEntry
 from qbxstokes.case.load import LoadedCase
@@ -20,6 +22,9 @@ from qbxstokes.runs.report import (
     size,
     vector,
 )
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 MANY = 6  # bodies that are told one by one
 _TAKES = "beside start, comparison, lines and a motion's field (within a factor of 2) about"
@@ -117,24 +122,24 @@ def _vector(value: Any) -> str:
     return "(" + ", ".join(v if isinstance(v, str) else quantity(v) for v in value) + ")"
 
 
-def plan_facts(plan: Plan, target: Path) -> dict[str, Any]:
-    """The plan as plain data."""
-    facts: dict[str, Any] = {
-        "needs": list(plan.needs),
-        "skips": list(plan.skips),
-        "output": str(target),
-    }
+def planned(job: Job) -> tuple[dict[str, Any], str]:
+    """The plan as plain data and as text, of a dry run with the time that it takes."""
+    loaded, plan, seconds = job.loaded, job.plan, None
+    if job.options.dry_run:
+        from qbxstokes.runs.cost import seconds_of
+
+        seconds = seconds_of(loaded, plan)
+    facts: dict[str, Any] = {"needs": list(plan.needs), "skips": list(plan.skips)}
+    facts["output"] = str(job.target)
     if plan.points:
         facts["points"] = plan.points
     if isinstance(plan, MotionPlan):
-        facts |= {
-            "end": float(plan.times[-1]),
-            "samples": len(plan.times),
-            "bytes_on_disk": plan.bytes_on_disk,
-        }
+        facts["end"], facts["samples"] = float(plan.times[-1]), len(plan.times)
+        facts["bytes_on_disk"] = plan.bytes_on_disk
         if not plan.simulation.coupled:
             facts |= {"hydrodynamics": plan.simulation.kind, "jeffery_period": plan.period}
-    return facts
+    told = {"case": str(loaded.path), "plan": {**facts, "seconds": seconds}}
+    return told, plan_text(loaded, plan, job.target, seconds)
 
 
 def plan_text(loaded: LoadedCase, plan: Plan, target: Path, seconds: float | None) -> str:

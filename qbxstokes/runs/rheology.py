@@ -39,7 +39,7 @@ _KEYS = {"flow": "flow", "stokes_number": "body.stokes_number"} | {
 }
 
 
-def run_rheology(job: Job) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Compute the suspension's stress and write its result; returns the summary.
 
     Rank 0 computes, so that any number of ranks gives the numbers of one; all form the rows.

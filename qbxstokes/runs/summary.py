@@ -1,17 +1,19 @@
 """The summary of a task: what was solved and found, errors, times, files."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.quantities import BODY
 from qbxstokes.runs.destination import result_path
-from qbxstokes.runs.plan import Plan
 from qbxstokes.runs.plan_report import MANY, scene
+from qbxstokes.runs.plan_report import planned as planned
 from qbxstokes.runs.report import (
     Rows,
     counted,
@@ -23,6 +25,9 @@ from qbxstokes.runs.report import (
     render,
     vector,
 )
+
+if TYPE_CHECKING:
+    from qbxstokes.runs.command import Job
 
 _NO_DRIFT = 1e-14  # displacements below are rounding
 _TUMBLING = 1e8  # orbit constants above are infinite but for rounding, as in the averages
@@ -36,8 +41,9 @@ _CHECKS = {
 }
 
 
-def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str:
+def summary_text(job: Job, summary: dict[str, Any]) -> str:
     """What was solved, what was found and skipped, errors, times, and the files."""
+    loaded, plan = job.loaded, job.plan
     of_field = loaded.case.task == "field"
     times = summary["wall_times"]
     spent = ", ".join(f"{name} {duration(t)}" for name, t in times.items() if name != "total")
@@ -58,9 +64,9 @@ def summary_text(loaded: LoadedCase, plan: Plan, summary: dict[str, Any]) -> str
     return render(loaded.case.title or f"Task {loaded.case.task}", str(loaded.path), sections)
 
 
-def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
+def remarks(job: Job, summary: dict[str, Any]) -> Iterator[str]:
     """What standard error is told after a summary."""
-    yield from loaded.remarks
+    loaded = job.loaded
     time, compared = loaded.case.time, loaded.case.compare.tolerance
     if time is not None:
         text = f"time.tolerance {time.tolerance:g}"
@@ -84,8 +90,6 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
         yield near_edge(near["gap"], near["time"])
     if loaded.case.units is not None:
         yield from loaded.case.units.scales.remarks
-    for name in summary["unused_petsc_options"]:
-        yield f"PETSc option -{name} was not used by anything"
     field = loaded.case.field
     if field is not None and (not loaded.case.coupled or "tolerance" in field.given_keys):
         errors = summary["errors"] | summary.get("field", {}).get("errors", {})
@@ -95,14 +99,6 @@ def remarks(loaded: LoadedCase, summary: dict[str, Any]) -> Iterator[str]:
     if compared is not None and summary.get("largest_error") is None:
         why = summary.get("note") or "no closed form is known or asked for"
         yield f"compare.tolerance {compared:g} is held against nothing: {why}"
-    if missed(loaded, summary):
-        yield f"largest error {summary['largest_error']:.1e} exceeds compare.tolerance {compared:g}"
-
-
-def missed(loaded: LoadedCase, summary: dict[str, Any]) -> bool:
-    """Whether an error exceeds `compare.tolerance`, or is not a number."""
-    limit, error = loaded.case.compare.tolerance, summary.get("largest_error")
-    return limit is not None and error is not None and not error <= limit
 
 
 def _errors(summary: dict[str, Any]) -> Rows:

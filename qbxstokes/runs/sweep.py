@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import json
-import math
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qbxstokes.case.load import LoadedCase
-from qbxstokes.errors import ConvergenceError
 from qbxstokes.io import sweep_result as store
-from qbxstokes.io.listing import unknown
 from qbxstokes.io.results import shows_parts
 from qbxstokes.io.store import Work, open_work, reopen
-from qbxstokes.runs.destination import identity_of, result_path, working_folder
+from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.gathering import Crew, Gathering, read_whole, seconds_between
 from qbxstokes.runs.parallel import interrupted, on_root
 from qbxstokes.runs.progress import compilation_told
-from qbxstokes.runs.report import near_edge
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Todo, form_models, todo_of, work_on_blocks
 
@@ -29,59 +23,7 @@ if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
 
-def sweep_command(job: Job) -> int:
-    """Carry out a case with a section `sweep`; returns the exit status."""
-    comm, loaded, options = job.comm, job.loaded, job.options
-    job.start()
-    if job.tells_plan(lambda: _dry_run(loaded, comm.size)):
-        return 0
-    summary = run_sweep(job)
-
-    def text() -> str:
-        from qbxstokes.runs.sweep_report import summary_text
-
-        if summary["complete"]:
-            return f"{summary['result']}: complete, nothing to resume"
-        return summary_text(swept_scenes(loaded), summary)
-
-    job.conclude(summary, text)
-    if comm.rank == 0:
-        for name in summary["unused_petsc_options"]:
-            print(f"qbxstokes: PETSc option -{name} was not used by anything", file=sys.stderr)
-        tell_failures(summary)
-        if not options.quiet:
-            with store.reading(summary["result"]) as file:
-                table = file["table"][()]
-            for remark in unknown(table, ("period", "rotation_rate")):
-                print(f"qbxstokes: {remark}", file=sys.stderr)
-    return ConvergenceError.exit_status if summary["failed"] else 0
-
-
-def _dry_run(loaded: LoadedCase, ranks: int) -> tuple[dict[str, Any], str]:
-    """What would run, as data and as text."""
-    from qbxstokes.runs.cost import estimate
-    from qbxstokes.runs.sweep_report import plan_text
-
-    scenes = swept_scenes(loaded)
-    blocks, layout = scenes.blocks, layout_of(scenes)
-    cost = estimate(scenes, layout.row_bytes)
-    text = plan_text(scenes, layout, cost, result_path(loaded), ranks)
-    facts = {
-        "trajectories": scenes.space.size,
-        "shape": scenes.space.shape,
-        "scenes": scenes.size,
-        "blocks": blocks,
-        "operators": cost.bodies or scenes.space.size,
-        "bytes_on_disk": layout.bytes,
-        "memory_per_rank": cost.memory,
-        "skips": list(scenes.skips),
-        "seconds": {str(p): cost.seconds(p) for p in sorted({1, ranks, 1000, 10_000})},
-        "text": text,
-    }
-    return facts, text
-
-
-def run_sweep(job: Job) -> dict[str, Any]:
+def run(job: Job) -> dict[str, Any]:
     """Compute the sweep on all ranks and return its summary (on every rank)."""
     from qbxstokes.petsc.session import stepper_options
 
@@ -110,7 +52,7 @@ def run_sweep(job: Job) -> dict[str, Any]:
 
     with working_folder(job, identity, left, reopened) as (work, found):
         if work is None:
-            return {"result": str(found), "complete": True, "failed": 0}
+            return {"result": str(found), "complete": True, "failed": 0, "finished_before": True}
         return _computed(job, scenes, layout, work, found)
 
 
@@ -249,20 +191,3 @@ def _sum_up(
         "failures": dict(sorted(failed.items())[:1000]),
         "nearest": found.nearest,
     }
-
-
-def tell_failures(summary: dict[str, Any]) -> None:
-    """Say which trajectories failed, the first ten with their reasons, and which ended early."""
-    if summary.get("ended"):
-        which = f"{summary['ended']:g} of the trajectories ended at an edge of their flow"
-        print(f"qbxstokes: {which}: see end and reason in the table", file=sys.stderr)
-    if summary.get("nearest", math.inf) < math.inf:
-        print(f"qbxstokes: {near_edge(summary['nearest'])}", file=sys.stderr)
-    failures = summary.get("failures", {})
-    for index, reason in list(failures.items())[:10]:
-        print(f"qbxstokes: trajectory {index} failed: {reason}", file=sys.stderr)
-    if summary["failed"] > 10:
-        print(
-            f"qbxstokes: {summary['failed'] - 10} more failed; see table/reason in the result",
-            file=sys.stderr,
-        )
