@@ -37,7 +37,7 @@ from qbxstokes.typing import AnyArray
 
 RUN, LOCK = "run.json", "lock"
 _NOTE, _SUFFIX = "note", ".h5"
-_FORMAT = 2  # of what parts and states hold
+_FORMAT = 3  # of what parts and states hold
 # Names of results, with numbers, that are looked through for a run to go on with.
 NUMBERED = 1000
 
@@ -148,8 +148,8 @@ class Work:
 
     target: the result. writer: number of this process among those at work; the first holds the
     lock. run: how many runs have been at work here, this one included. identity: what the numbers
-    depend on. resumed: whether there is work of an earlier run. mends: whether the work is to be
-    put into the result that is there. stays: whether the result shows what is in the folder.
+    depend on. resumed: whether there is work of an earlier run. stays: whether the result shows
+    what is in the folder.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Work:
     ) -> None:
         self.target, self.identity, self.run, self.writer = target, dict(identity), run, writer
         self.folder = parts_of(target)
-        self.resumed, self.mends, self.stays = run > 1, False, False
+        self.resumed, self.stays = run > 1, False
         self._lock: int | None = None
         self._count = 0
 
@@ -213,7 +213,7 @@ class Work:
 
         finished: the result is there, and shows the parts.
         """
-        told = {"run": self.run, "identity": self.identity, "mends": self.mends}
+        told = {"run": self.run, "identity": self.identity}
         told |= {"finished": finished, "format": _FORMAT}
         self.stays = finished
         try:
@@ -292,7 +292,6 @@ def _run_in(folder: Path) -> dict[str, Any] | None:
         return {
             "run": int(found["run"]),
             "identity": dict(found["identity"]),
-            "mends": bool(found.get("mends")),
             "finished": bool(found.get("finished")),
             "format": found.get("format", 1),
         }
@@ -391,7 +390,7 @@ def reopen(target: Path, identity: Mapping[str, Any]) -> Work:
             f"{work.folder}: the run to go on with had another {other}; restore it, or begin anew "
             "with --overwrite"
         )
-    work.run, work.resumed, work.mends = found["run"] + 1, True, found["mends"]
+    work.run, work.resumed = found["run"] + 1, True
     for path in work.folder.glob(".*.part"):  # what a killed process was about to write
         path.unlink(missing_ok=True)
     work.note_run()  # parts of every run have names of their own

@@ -177,8 +177,7 @@ def carry_out(job: Job) -> int:
     loaded, sweep = job.loaded, job.loaded.case.sweep
     name, report = str(loaded.case.task), "summary"
     if loaded.space is not None:
-        name = "ensemble" if sweep.store == "statistics" else "sweep"
-        report = f"{name}_report"
+        name = report = "ensemble" if sweep.store == "statistics" else "sweep"
     with job.clock.part("import"):
         told = import_module(f"qbxstokes.runs.{report}")
     job.start()

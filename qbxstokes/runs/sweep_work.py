@@ -39,7 +39,6 @@ class Todo:
 
     done: trajectories that are there already. failed: those that failed and why, by block. totals:
     steps and right-hand sides so far, and how many ended early. nearest: least gap to an edge.
-    merges: whether the result is to hold all rows, rather than show the parts.
     """
 
     blocks: list[int]
@@ -47,7 +46,6 @@ class Todo:
     done: int = 0
     failed: dict[int, dict[int, str]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
-    merges: bool = True
     nearest: float = np.inf
 
     @property
@@ -67,14 +65,9 @@ class Todo:
         self.nearest = min(self.nearest, note["nearest"])
 
 
-def todo_of(scenes: Swept, work: Work, base: Todo | None) -> Todo:
-    """What is left to do of a sweep, by the parts of earlier runs.
-
-    base: what a finished result leaves to do, where failures of it are mended.
-    """
-    todo = base or Todo(list(range(scenes.blocks)))
-    if not work.resumed:
-        return todo
+def todo_of(scenes: Swept, work: Work) -> Todo:
+    """What is left to do of a sweep, by the parts of earlier runs."""
+    todo = Todo(list(range(scenes.blocks)))
     for note in notes(work, BLOCKS):
         todo.learn(note)
     todo.blocks = [number for number in todo.blocks if number not in todo.failed]
