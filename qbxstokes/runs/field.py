@@ -84,7 +84,7 @@ def _computed(job: Job, folder: Work) -> dict[str, Any]:
         writer.append({"time": np.zeros(1), **one}, about)
         if section.tracers is not None:
             with clock.part("tracers"):
-                paths = steady_tracers(around, section, instant)
+                paths = steady_tracers(around, section.tracers, instant)
             store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
         errors = facts.pop("errors")
         summary: dict[str, Any] = {
@@ -138,9 +138,8 @@ def field_of_motion(
         with job.clock.part("tracers"):
             follow = tracers_among if loaded.case.coupled else moving_tracers
             with job.interruption.at_once(folder.folder):
-                paths = follow(
-                    work.solution, section, assembled.equations, start, end, time.tolerance
-                )
+                told = assembled.equations, start, end, time.tolerance
+                paths = follow(work.solution, section.tracers, *told)
         store.put_arrays(writer.file[store.GROUP], "tracers", paths, {})
     return facts
 

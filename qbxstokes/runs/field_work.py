@@ -75,24 +75,15 @@ class Found:
 
     slip: float = 0.0
     difference: float = 0.0
-    counts: Integers = field(default_factory=lambda: np.zeros(len(SOURCES) + 1, dtype=np.int64))
-    solves: dict[int, tuple[int, float]] = field(default_factory=dict)
-
-    def note(self) -> dict[str, Any]:
-        """All of it as plain data."""
-        return {
-            "slip": self.slip,
-            "difference": self.difference,
-            "counts": self.counts.tolist(),
-            "solves": {str(number): list(solve) for number, solve in self.solves.items()},
-        }
+    counts: list[int] = field(default_factory=lambda: [0] * (len(SOURCES) + 1))
+    solves: dict[str, tuple[int, float]] = field(default_factory=dict)
 
     def join(self, note: Mapping[str, Any]) -> None:
         """Add what another rank, or an earlier run, has told."""
         self.slip = max(self.slip, note["slip"])
         self.difference = max(self.difference, note["difference"])
-        self.counts += np.array(note["counts"])
-        self.solves |= {int(number): tuple(solve) for number, solve in note["solves"].items()}
+        self.counts = [own + more for own, more in zip(self.counts, note["counts"], strict=True)]
+        self.solves |= note["solves"]
 
 
 class FieldWork:
@@ -237,7 +228,7 @@ class FieldWork:
                 found = Found()
                 arrays = self._do(tasks[number], found, told)
                 task = astuple(tasks[number])
-                note = {"key": self._key, "number": number, "task": task, "found": found.note()}
+                note = {"key": self._key, "number": number, "task": task, "found": vars(found)}
                 self._gathering.add(arrays, note)
         except QbxStokesError as error:
             failure = error
@@ -258,7 +249,7 @@ class FieldWork:
                     f"field.tolerance {self.section.tolerance:g}; use method: auto, or more n_theta"
                 )
             found.slip = slip
-            found.solves[task.instant] = self.solution.last_solve()
+            found.solves[str(task.instant)] = self.solution.last_solve()
         with self.clock.part(_PARTS[task.kind]):
             if task.kind == "points":
                 return self._evaluated(task, found)
@@ -268,8 +259,9 @@ class FieldWork:
                 whose = () if isinstance(self.solution, AroundBody) else (task.target,)
                 return dict(around.surface(*angles, *whose))
             if task.kind == "streamlines":
-                instant = self.instants[task.instant]
-                return {"points": streamlines(around, self.section, instant)}
+                assert self.section.streamlines is not None
+                lines = streamlines(around, self.section.streamlines, self.instants[task.instant])
+                return {"points": lines}
             if task.kind == "check":
                 if task.begin < task.end:
                     points = around.check_points(min(self.section.check, FEW))
@@ -295,7 +287,7 @@ class FieldWork:
             points, section.quantities, section.tolerance, section.method
         )
         source = values["source"]
-        found.counts += np.bincount(source + 1, minlength=len(found.counts))
+        found.counts = np.bincount(source + 1, minlength=len(found.counts)).tolist()
         kept: dict[str, Any] = {name: values[name] for name in section.quantities}
         return kept | {"points": points, "inside": source == INSIDE, "source": source}
 
@@ -335,7 +327,7 @@ class FieldWork:
         iterations, residuals = zip(*found.solves.values(), strict=True)
         return {
             "errors": largest,
-            "points": dict(zip(("inside", *SOURCES), found.counts.tolist(), strict=True)),
+            "points": dict(zip(("inside", *SOURCES), found.counts, strict=True)),
             "hydrodynamics": {
                 **self.solution.facts(self.instants[-1]),
                 "solves": len(found.solves),
