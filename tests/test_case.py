@@ -13,12 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qbxstokes.case.describe import SCHEMA_FILE, json_schema, keys_page
+from qbxstokes.case.describe import SCHEMA_FILE, json_schema, keys_page, starter
 from qbxstokes.case.document import MAX_BYTES, parse
 from qbxstokes.case.load import load_case, validate
 from qbxstokes.case.schema import Case, keys
 from qbxstokes.case.values import expression, to_angle
-from qbxstokes.cli.starter import starter
 from qbxstokes.errors import CaseError
 
 WriteCase = Callable[..., Path]

@@ -16,11 +16,11 @@ import pytest
 from conftest import ENVIRONMENT, ROOT, Run
 
 import qbxstokes
+from qbxstokes.case.describe import starter
 from qbxstokes.case.document import parse, read_text
 from qbxstokes.case.load import load_case
 from qbxstokes.case.schema import FOREIGN, Case
 from qbxstokes.cli.main import run_command, split_arguments
-from qbxstokes.cli.starter import starter
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry import rotation
 from qbxstokes.io.results import load

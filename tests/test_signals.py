@@ -81,12 +81,12 @@ def test_a_signal_before_there_is_anything_says_so(
     path = write_case({**SHEAR, "time": {"end": 1.0}})
     script = (
         "import os, signal, sys\n"
-        "from qbxstokes.runs import provenance\n"
-        "start = provenance.start_petsc\n"
+        "from qbxstokes.runs.command import Job\n"
+        "start = Job.start\n"
         "def started(*arguments):\n"
         "    os.kill(os.getpid(), signal.SIGHUP)\n"
         "    return start(*arguments)\n"
-        "provenance.start_petsc = started\n"
+        "Job.start = started\n"
         "from qbxstokes.cli.main import run_command\n"
         f"sys.exit(run_command([{path.name!r}]))"
     )

@@ -220,7 +220,7 @@ def _check(options: argparse.Namespace, words: Sequence[str]) -> int:
 
 def _new(options: argparse.Namespace, words: Sequence[str]) -> int:
     """Write a starter case to a file that does not exist yet, or to standard output."""
-    from qbxstokes.cli.starter import starter
+    from qbxstokes.case.describe import starter
 
     text = starter(options.task, options.full)
     if path := _put(text, options, words):

@@ -49,8 +49,19 @@ class Job:
     def start(self) -> None:
         """Start PETSc by all ranks; `provenance` is what a result says of how it was made."""
         with self.clock.part("import"):
-            from qbxstokes.runs.provenance import start_petsc
-        self.PETSc, self.provenance = start_petsc(self.comm, self.loaded, self.petsc, self.clock)
+            from qbxstokes.runs.provenance import asked_revision, provenance
+        loaded, told = self.loaded, self.comm.rank == 0
+        with self.clock.part("start PETSc"):
+            from qbxstokes.petsc import session
+
+            revision = asked_revision() if told else str  # git is asked meanwhile
+            # Options that are swept hold for one trajectory at a time.
+            swept = [c.key[1:] for _, c in loaded.space.columns] if loaded.space else []
+            given = {k: value for k, value in loaded.case.petsc.items() if (k,) not in swept}
+            self.PETSc = session.start(self.petsc, given)
+        with self.clock.part("import"):
+            record = self.PETSc, self.comm.size, self.petsc, revision
+            self.provenance = provenance(loaded, *record) if told else {}
         self.interruption.take()
 
     def tells_plan(self, planned: Callable[[], tuple[dict[str, Any], str]]) -> bool:

@@ -12,33 +12,12 @@ from typing import Any
 
 from qbxstokes import __version__
 from qbxstokes.case.load import LoadedCase
-from qbxstokes.runs.progress import Clock
 
 
-def start_petsc(
-    comm: Any, loaded: LoadedCase, petsc: Sequence[str], clock: Clock
-) -> tuple[Any, dict[str, Any]]:
-    """PETSc, started by all ranks, and on rank 0 what the group `provenance` of a result holds.
-
-    Git is asked meanwhile, by rank 0 alone. petsc: the command line that is left for PETSc.
-    """
-    with clock.part("start PETSc"):
-        from qbxstokes.petsc import session
-
-        revision = asked_revision() if comm.rank == 0 else None
-        # Those that are swept hold for one trajectory at a time.
-        swept = [c.key[1:] for _, c in loaded.space.columns] if loaded.space else []
-        given = {k: value for k, value in loaded.case.petsc.items() if (k,) not in swept}
-        PETSc = session.start(petsc, given)
-    if revision is None:
-        return PETSc, {}
-    with clock.part("import"):
-        return PETSc, _provenance(loaded, PETSc, comm.size, petsc, revision)
-
-
-def _provenance(
+def provenance(
     loaded: LoadedCase, PETSc: Any, ranks: int, petsc: Sequence[str], revision: Callable[[], str]
 ) -> dict[str, Any]:
+    """What the group `provenance` of a result holds."""
     physical = {}
     if loaded.case.units is not None:
         scales = loaded.case.units.scales
