@@ -183,13 +183,6 @@ class CoupledSimulation(Simulation):
 
         return Together(self)
 
-    def to_yaml(self, times: ArrayLike | None = None) -> str:
-        """The scene as a case file; see `Simulation.to_yaml`."""
-        from qbxstokes.case.document import written
-        from qbxstokes.simulation.writing import coupled_case
-
-        return written(coupled_case(self, times))
-
     def integrate(self, times: ArrayLike, **_: Any) -> CoupledMotion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
