@@ -161,7 +161,7 @@ class Assembled:
         """The stresslets of the lanes; forms those of the bodies when first asked."""
         from qbxstokes.simulation.stresses import SceneStress
 
-        return SceneStress.of(self)
+        return SceneStress(self)
 
     def observe(self, times: Array, states: Array, wanted: Sequence[str]) -> dict[str, Array]:
         """The wanted quantities (T, n, ...) from states (T, n, n_state) at times (T,)."""

@@ -13,10 +13,9 @@ from qbxstokes.bie.multiple_scattering import Placed, closest, gaps_of, names_of
 from qbxstokes.case.running import Events as EventSettings
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
-from qbxstokes.geometry import rotation
 from qbxstokes.motion.loads import LoadRows, Loads
 from qbxstokes.simulation.arguments import accepted, section
-from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation
+from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, places
 from qbxstokes.simulation.surroundings import Wall
 from qbxstokes.simulation.suspension import Suspension
 
@@ -71,12 +70,9 @@ class CoupledSimulation(Simulation):
             members, surroundings, tolerance=resolution or max(tolerance, 1e-12), comm=comm
         )
         self.table = self._table_of(members[0]) if table else None
-        self.places = places = self.suspension.placed(position, orientation)
+        self.places = self.suspension.placed(position, orientation)
+        self.position, self.quaternion, _ = places(position, orientation)
         self.flow, self.tolerance = flow, float(tolerance)  # type: ignore[assignment]
-        self.position = np.stack([place.position for place in places])
-        turn = np.asarray(orientation, dtype=np.float64)
-        q = rotation.normalize(turn) if turn.shape[-1] == 4 else rotation.from_axis(turn)
-        self.quaternion = np.array(np.broadcast_to(q, (len(members), 4)))
         self.repulsion = repulsion
         self.loads, self.events = loads, section("events", EventSettings, events)
         self.constraints = None

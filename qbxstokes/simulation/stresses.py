@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -108,67 +108,54 @@ class FreeStress:
         flow = self._flow.at(t) if isinstance(self._flow, ChangingFlow) else self._flow.polynomial
         assert flow is not None
         strain = mean_strain(flow, x, axis, self._k)
-        return stresslets(self.stresslet.numbers, axis, strain).T
+        return np.ascontiguousarray(stresslets(self.stresslet.numbers, axis, strain).T)
 
 
 class SceneStress:
-    """Stresslets of the lanes of assembled scenes, with what their torques add."""
+    """Stresslets of the lanes of assembled scenes, with what their torques add.
 
-    def __init__(self, parts: Sequence[tuple[FreeStress, slice]], linear: Array) -> None:
-        """parts: of each scene with its lanes. linear: lambda of each lane (n,)."""
-        self._parts, self._linear = parts, linear
+    The stresslets of their bodies are formed where need be.
+    """
+
+    def __init__(self, assembled: Assembled) -> None:
+        parts, lanes = assembled.parts, assembled.slices()
+        frees = [FreeStress(part.body, part.flow, part.body.stress) for part in parts]
+        self._parts = list(zip(frees, lanes, strict=True))
+        models = [formed.model for formed in assembled.hydrodynamics]
+        counts = [len(part) for part in parts]
+        self._linear = np.repeat([model.faxen.linear for model in models], counts)
         self.thermal: Array | None = None
+        if parts[0].brownian is not None:
+            strengths = [
+                3.0 * part.brownian.rotary_diffusivity * model.resistance.rotation_transverse
+                for part, model in zip(parts, models, strict=True)
+                if part.brownian is not None
+            ]
+            self.thermal = np.repeat(strengths, counts) * self._linear
 
-    @classmethod
-    def of(cls, assembled: Assembled) -> SceneStress:
-        """That of assembled scenes; forms the stresslets of their bodies where need be."""
-        slices, linear = assembled.slices(), np.empty(len(assembled.initial))
-        parts = []
-        for part, formed, lanes in zip(
-            assembled.parts, assembled.hydrodynamics, slices, strict=True
-        ):
-            parts.append((FreeStress(part.body, part.flow, part.body.stress), lanes))
-            linear[lanes] = formed.model.faxen.linear
-        found = cls(parts, linear)
-        if assembled.parts[0].brownian is not None:
-            found.thermal = np.concatenate(
-                [
-                    np.full(len(part), 3.0 * part.brownian.rotary_diffusivity)
-                    * formed.model.resistance.rotation_transverse
-                    * formed.model.faxen.linear
-                    for part, formed in zip(assembled.parts, assembled.hydrodynamics, strict=True)
-                    if part.brownian is not None
-                ]
-            )
+    def _each(self, count: int, width: tuple[int, ...], values: Callable[..., Array]) -> Array:
+        """Values (count, *width) of each scene's states; instants of the same lanes follow."""
+        if len(self._parts) == 1:
+            return values(self._parts[0][0], slice(None))
+        numbers, found = np.arange(count).reshape(-1, len(self._linear)), np.empty((count, *width))
+        for free, lanes in self._parts:
+            chosen = numbers[:, lanes].ravel()
+            found[chosen] = values(free, chosen)
         return found
 
     def gradient(self, t: float, states: Array) -> Array:
         """Velocity gradient (n, 3, 3) of the background flow at the centres."""
-        found = np.empty((len(states), 3, 3))
-        for free, chosen in self._chosen(len(states)):
-            if len(self._parts) == 1:
-                return free.gradient(t, states[:, POSITION])
-            found[chosen] = free.gradient(t, states[chosen, POSITION])
-        return found
-
-    def _chosen(self, count: int) -> Iterator[tuple[FreeStress, Any]]:
-        """The states of each scene; several instants of the same lanes follow each other."""
-        if len(self._parts) == 1:
-            yield self._parts[0][0], slice(None)
-            return
-        numbers = np.arange(count).reshape(-1, len(self._linear))
-        for free, lanes in self._parts:
-            yield free, numbers[:, lanes].ravel()
+        return self._each(
+            len(states), (3, 3), lambda free, own: free.gradient(t, states[own, POSITION])
+        )
 
     def stresslet(self, t: float, x: Array, q: Array, p: Array, torque: Array | None) -> Array:
         """S (n, 6) in space, positions x (n, 3), unit quaternions q (n, 4) and axes p (n, 3).
 
         torque: hydrodynamic, (n, 3), None where there is none.
         """
-        found = np.empty((len(x), 6))
-        for free, chosen in self._chosen(len(x)):
-            found[chosen] = free(t, x[chosen], q[chosen], p[chosen])
+        found = self._each(len(x), (6,), lambda free, own: free(t, x[own], q[own], p[own]))
         if torque is not None:
             linear = np.tile(self._linear, len(x) // len(self._linear))
-            found += torque_stresslets(linear, p, torque)
+            found = found + torque_stresslets(linear, p, torque)
         return found

@@ -14,8 +14,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.arguments import numbers, turned
-from qbxstokes.simulation.simulation import Simulation
+from qbxstokes.simulation.simulation import UPRIGHT, Simulation, places
 from qbxstokes.simulation.solved_instant import (
     MOST_NODES,
     Solution,
@@ -78,17 +77,14 @@ class Suspension:
 
     def placed(self, position: ArrayLike, orientation: ArrayLike | None = None) -> list[Placed]:
         """The bodies at centres (N, 3) with axes (N, 3) or quaternions (N, 4); None: upright."""
-        n = len(self)
-        x = numbers("position", position, f"shape {(n, 3)}: a centre each")
-        turn = turned((0.0, 0.0, 1.0) if orientation is None else orientation)
-        x = x[None] if x.ndim == 1 and n == 1 else x
-        turn = np.broadcast_to(turn, (n, turn.shape[-1])) if turn.ndim == 1 else turn
-        if x.shape != (n, 3):
-            raise SceneError("position", f"has shape {x.shape}", f"shape {(n, 3)}: a centre each")
-        if turn.ndim != 2 or len(turn) != n or turn.shape[1] not in (3, 4):
+        n, shape = len(self), np.shape(position)
+        orientation = UPRIGHT if orientation is None else orientation
+        x, q, lead = places(position, orientation)
+        if shape != (n, 3) and not (n == 1 and shape == (3,)):
+            raise SceneError("position", f"has shape {shape}", f"shape {(n, 3)}: a centre each")
+        if lead not in ((n,), ()):
             right = f"shape {(n, 3)} (axes) or {(n, 4)}"
-            raise SceneError("orientation", f"has shape {turn.shape}", right)
-        q = rotation.normalize(turn) if turn.shape[1] == 4 else rotation.from_axis(turn)
+            raise SceneError("orientation", f"has shape {np.shape(orientation)}", right)
         return [
             Placed(body.shape, body.size, centre, matrix)
             for body, centre, matrix in zip(self.bodies, x, rotation.matrix(q), strict=True)
@@ -303,7 +299,7 @@ class Suspension:
             flow,
             self.wall,
             position=position,
-            orientation=(0.0, 0.0, 1.0) if orientation is None else orientation,
+            orientation=UPRIGHT if orientation is None else orientation,
             loads=Loads(self._each(force), self._each(torque)),
             events={} if least_gap is None else {"clearance": least_gap},
             tolerance=tolerance,

@@ -133,8 +133,11 @@ class Ensemble:
         first = number * BLOCK
         count = min(BLOCK, self.trajectories - first)
         durations, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
-        strain = self.history.strain(times), self.history.strain(middle)
-        flows = _Flows(self.transport, strain[1] - strain[0][:-1], strain[0][1:] - strain[1])
+        ends, middles = self.history.strain(times), self.history.strain(middle)
+        halves, flow = np.stack([middles - ends[:-1], ends[1:] - middles]), self.transport.flow
+        turns = _exponentials(self.transport.matrix, halves)
+        if self.dispersion is not None:
+            shifts = _exponentials(flow.gradient / flow.rate, halves)
         found = np.zeros((int(rows.max()) + 1, 18, count))
         seen = np.bincount(rows[rows >= 0], minlength=len(found))
         kept = np.empty((len(found), max(0, min(self.kept - first, count)), 3))
@@ -143,11 +146,11 @@ class Ensemble:
         for step, row in enumerate(rows.tolist()):
             if step:
                 spread = variance(self.diffusivity, durations[step - 1])
-                before, after = flows.turns[:, step - 1]
+                before, after = turns[:, step - 1]
                 q = _moved(p, before)
                 p = turned_axes(q, spread, uniform(self.seed, first, count, step))
                 if self.dispersion is not None:
-                    one, two = flows.shifts[:, step - 1]
+                    one, two = shifts[:, step - 1]
                     sizes = np.sqrt(np.array(self.dispersion) * durations[step - 1])
                     for word, axes in ((1, q), (2, p)):
                         u = uniform(self.seed, first, count, step, word)
@@ -188,28 +191,14 @@ class Ensemble:
         return Sums(rows.shape[2], mean, squares, kept)
 
 
-class _Flows:
-    """exp of the flow's matrices over the strains (n,) of the halves of all steps, transposed."""
+def _exponentials(matrix: Array, strains: Array) -> Array:
+    """exp of a flow's matrix over the strains (2, n) of the halves of all steps, transposed."""
+    from scipy.linalg import expm
 
-    def __init__(self, transport: Transport, first: Array, second: Array) -> None:
-        from scipy.linalg import expm
-
-        # Equal but for the rounding of their times: one exponential.
-        strains, places = np.unique(np.round([first, second], 14), return_inverse=True)
-        self._places = places.reshape(2, -1)
-        self._turns = expm(strains[:, None, None] * transport.matrix).swapaxes(1, 2)
-        gradient = transport.flow.gradient / transport.flow.rate
-        self._shifts = expm(strains[:, None, None] * gradient).swapaxes(1, 2)
-
-    @cached_property
-    def turns(self) -> Array:
-        """Of the axes, (2, n, 3, 3)."""
-        return np.asarray(self._turns[self._places])
-
-    @cached_property
-    def shifts(self) -> Array:
-        """Of the places, (2, n, 3, 3)."""
-        return np.asarray(self._shifts[self._places])
+    # Equal but for the rounding of their times: one exponential.
+    different, places = np.unique(np.round(strains, 14), return_inverse=True)
+    found = expm(different[:, None, None] * matrix).swapaxes(1, 2)
+    return np.asarray(found[places.reshape(strains.shape)])
 
 
 def uniform(seed: int, first: int, count: int, step: int, word: int = 0) -> Array:
