@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,8 @@ _IRREGULAR = 1e-5
 _PARTS = (1.0, 0.75, 0.5, 0.25)
 # Balls that are computed together.
 _AT_ONCE = 100
+# Flows of one gradient everywhere that have passed: they need no second look elsewhere.
+PASSED: WeakSet[Flow] = WeakSet()
 # Points and levels of extrapolation of a look that is made often.
 _FEW, _SHORT = 10, 4
 
@@ -115,6 +118,8 @@ def check_stokesian(
             f"gradient) at {_text(points[index])} and must vanish to {_TOLERANCE:.3g}"
             + (small if kind and flow.degree is None else "")
         )
+    if flow.degree in (0, 1) and flow.surely_stokesian:
+        PASSED.add(flow)
     return StokesianReport(
         float(residuals[0].max()), float(residuals[1].max()), points[index].copy(), _TOLERANCE
     )

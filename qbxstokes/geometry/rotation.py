@@ -94,15 +94,10 @@ def from_euler(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> Array:
     total = 0.5 * (np.asarray(phi, dtype=np.float64) + np.asarray(psi, dtype=np.float64))
     difference = 0.5 * (np.asarray(phi, dtype=np.float64) - np.asarray(psi, dtype=np.float64))
     cosine, sine = np.cos(half), np.sin(half)
-    return np.stack(
-        np.broadcast_arrays(
-            cosine * np.cos(total),
-            sine * np.cos(difference),
-            sine * np.sin(difference),
-            cosine * np.sin(total),
-        ),
-        axis=-1,
-    )
+    found = np.empty((*np.broadcast_shapes(half.shape, total.shape), 4))
+    found[..., 0], found[..., 3] = cosine * np.cos(total), cosine * np.sin(total)
+    found[..., 1], found[..., 2] = sine * np.cos(difference), sine * np.sin(difference)
+    return found
 
 
 def to_euler(q: ArrayLike, pole: float = _POLE) -> Array:
@@ -120,10 +115,10 @@ def to_euler(q: ArrayLike, pole: float = _POLE) -> Array:
         np.where(cosine <= pole * size, difference, total),
         np.where(sine <= pole * size, total, difference),
     )
-    return np.stack(
-        [_wrap(total + difference), 2.0 * np.arctan2(sine, cosine), _wrap(total - difference)],
-        axis=-1,
-    )
+    found = np.empty((*np.shape(total), 3))
+    found[..., 0], found[..., 2] = _wrap(np.array([total + difference, total - difference]))
+    found[..., 1] = 2.0 * np.arctan2(sine, cosine)
+    return found
 
 
 def _components(vectors: ArrayLike) -> Array:

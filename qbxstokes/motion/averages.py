@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qbxstokes.motion.diagnostics import orbit_constant
+from qbxstokes.motion.diagnostics import of_matrix, orbit_constant
 from qbxstokes.typing import Array, Indices
 
 # More than this between two samples, and the turns cannot be counted.
@@ -35,27 +35,32 @@ class ShearFrame:
         """The directions in a simple shear; None elsewhere, where no orbit constant exists."""
         return self.axes if self.simple else None
 
-    @classmethod
-    def of(cls, gradient: Array) -> ShearFrame:
+    @staticmethod
+    def of(gradient: Array) -> ShearFrame:
         """Frame of the velocity gradient A[i, j] = du_i/dx_j at one point.
 
         For a simple shear A = rate e_a e_b^T; otherwise e_n is along the vorticity, or e3.
         """
-        left, singular, right = np.linalg.svd(gradient)
-        a, b = left[:, 0], right[0]
-        if singular[0] > 0 and singular[1] <= 1e-10 * singular[0] and abs(a @ b) < 1e-10:
-            # Signs such that e_a and e_b point along the axes of space as far as they can.
-            a, b = (v * np.sign(v[np.argmax(np.abs(v))]) for v in (a, b))
-            return cls(np.stack([a, b, np.cross(a, b)]), True)
-        spin = np.array([gradient[1, 2] - gradient[2, 1], gradient[2, 0] - gradient[0, 2], 0.0])
-        spin[2] = gradient[0, 1] - gradient[1, 0]
-        length = np.linalg.norm(spin)
-        n = spin / length if length > 0 else np.array([0.0, 0.0, 1.0])
-        n = n * np.sign(n[np.argmax(np.abs(n))])
-        a = np.eye(3)[int(np.argmin(np.abs(n)))]
-        a = a - (a @ n) * n
-        a /= np.linalg.norm(a)
-        return cls(np.stack([a, np.cross(n, a), n]), False)
+        return _frame(gradient)
+
+
+@of_matrix
+def _frame(gradient: Array) -> ShearFrame:
+    left, singular, right = np.linalg.svd(gradient)
+    a, b = left[:, 0], right[0]
+    if singular[0] > 0 and singular[1] <= 1e-10 * singular[0] and abs(a @ b) < 1e-10:
+        # Signs such that e_a and e_b point along the axes of space as far as they can.
+        a, b = (v * np.sign(v[np.argmax(np.abs(v))]) for v in (a, b))
+        return ShearFrame(np.stack([a, b, np.cross(a, b)]), True)
+    spin = np.array([gradient[1, 2] - gradient[2, 1], gradient[2, 0] - gradient[0, 2], 0.0])
+    spin[2] = gradient[0, 1] - gradient[1, 0]
+    length = np.linalg.norm(spin)
+    n = spin / length if length > 0 else np.array([0.0, 0.0, 1.0])
+    n = n * np.sign(n[np.argmax(np.abs(n))])
+    a = np.eye(3)[int(np.argmin(np.abs(n)))]
+    a = a - (a @ n) * n
+    a /= np.linalg.norm(a)
+    return ShearFrame(np.stack([a, np.cross(n, a), n]), False)
 
 
 def turn_averages(

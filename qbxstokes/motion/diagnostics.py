@@ -7,7 +7,9 @@ every period T = 2 pi (k + 1/k)/rate.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +18,18 @@ from qbxstokes.typing import Array
 
 # Instants of a run from which errors are followed, and what they may be beside the worst ones.
 _STARTS, _SURE = 12, 4.0
+
+T = TypeVar("T")
+
+
+def of_matrix(function: Callable[..., T]) -> Callable[..., T]:
+    """The function of a matrix (3, 3) and of numbers, which remembers what it found last."""
+
+    @lru_cache
+    def known(numbers: bytes, *more: float) -> T:
+        return function(np.frombuffer(numbers).reshape(3, 3), *more)
+
+    return lambda matrix, *more: known(np.asarray(matrix, dtype=np.float64).tobytes(), *more)
 
 
 def orbit_constant(
@@ -42,6 +56,7 @@ def orbit_axis(effective_ratio: ArrayLike, constant: ArrayLike, phase: ArrayLike
     return np.stack(np.broadcast_arrays(part * np.cos(p), -k * part * np.sin(p), 1.0 - part), -1)
 
 
+@of_matrix
 def jeffery_period(gradient: Array, effective_ratio: float) -> float | None:
     """Period of a free spheroid's axis in a linear flow, None where it comes to rest.
 

@@ -32,12 +32,6 @@ class Inside:
         self._sampler: Any = None
         self._polynomial: tuple[float, Array] | None = None
 
-    def destroy(self) -> None:
-        """Free the second integrator."""
-        if self._sampler is not None:
-            self._sampler.destroy()
-        self._sampler = None
-
     def state_at(
         self, before: float, start: Array, after: float, t: float, many: bool = False
     ) -> Array:

@@ -74,12 +74,12 @@ def _matrix(system: System) -> tuple[Any, tuple[Integers, Integers]]:
     columns = np.repeat(np.arange(n * size, dtype=PETSc.IntType).reshape(n, size), size, axis=0)
     pattern = rows, columns.ravel()
     if n == 1:
-        dense = PETSc.Mat().createDense((size, size), comm=system.comm)
+        dense = PETSc.Mat().createDense((size, size), comm=PETSc.COMM_SELF)
         dense.setUp()
         dense.assemble()
         return dense, pattern
     csr, whole = (*pattern, np.zeros(columns.size)), (n * size, n * size)
-    return PETSc.Mat().createAIJ(whole, bsize=size, csr=csr, comm=system.comm), pattern
+    return PETSc.Mat().createAIJ(whole, bsize=size, csr=csr, comm=PETSc.COMM_SELF), pattern
 
 
 def _jacobian(

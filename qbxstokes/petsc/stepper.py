@@ -68,7 +68,6 @@ def integrate(
     longest_step: float | None = None,
     breaks: ArrayLike = (),
     watch: Watch | None = None,
-    comm: Any = PETSc.COMM_SELF,
 ) -> Trajectory:
     """States at increasing `times` of the motion that starts from `start` at t0.
 
@@ -83,7 +82,7 @@ def integrate(
     it, a step that cannot be completed ends the run (`refusal`, `failure`) instead of failing it.
     longest_step: bound on the steps, for loads that the start tells nothing about.
     breaks: instants at which the equations are not smooth in time: steps end there, and begin
-    afresh. watch: what looks after the flow (`Watch`). comm: of one process, PETSc's own.
+    afresh. watch: what looks after the flow (`Watch`).
     Raises ConvergenceError, or what the flow raised, when a step cannot be completed.
     """
     shape = equations.layout.columns, equations.layout.n_state
@@ -94,7 +93,7 @@ def integrate(
     end, count = float(instants[-1]), len(instants)
     ends = np.asarray(breaks, dtype=np.float64)
     bound = longest_step, len(ends)
-    system = System(equations, start, end, count, tolerance, method, prefix, *bound, comm)
+    system = System(equations, start, end, count, tolerance, method, prefix, *bound)
     run = Run(system, start, instants, ends, watch or Watch())
     kept: list[Chunk] = []
     limits = chunk_samples, chunk_steps, chunk_time
@@ -139,25 +138,23 @@ class Run:
         # Whether a step begins at a break, and how long such a step may be, as former ones were.
         self._fresh, self._anew = False, math.inf
         start, system = self.checkpoint, self._system
-        self.release()
+        self.release(idle=True)
         self._watch.begin(start.time, start.state)
         self._vector = system.begin(start)
         self.ts = system.integrator(self._vector, adaptive=True)
         self._inside = Inside(system, self.ts, self._vector)
         self._pace = Pace(system, start, self._vector)
-        self._most_steps = self.ts.getMaxSteps()
+        self._most_steps, self._rejected = self.ts.getMaxSteps(), self.ts.getStepRejections()
         system.write(self._vector, start.state)
         self.ts.setTime(start.time)
         self.ts.setStepNumber(start.steps)
         self.ts.setTimeStep(start.step or system.first_step())
 
-    def release(self) -> None:
+    def release(self, idle: bool = False) -> None:
         """Free the integrators: they hold callbacks that hold this object, unseen by Python."""
         self._watch.rest()
         self._watch.until(math.inf)
-        for integrator in (self.ts, self._inside):
-            if integrator is not None:
-                integrator.destroy()
+        self._system.release(idle)
         self.ts = self._inside = None
 
     def go(
@@ -229,6 +226,7 @@ class Run:
                 cut = self.checkpoint.steps + chunk_steps
         if samples:
             self._cut(deliver, t, index, samples)
+        self.release(idle=not self.stopped)
         return True
 
     def _leaps(self, watch: Any) -> Leaps | None:
@@ -371,7 +369,7 @@ class Run:
             step=float(ts.getTimeStep()),
             next_sample=index,
             steps=ts.getStepNumber(),
-            rejections=old.rejections + ts.getStepRejections(),
+            rejections=old.rejections + ts.getStepRejections() - self._rejected,
             norm_drift=max(old.norm_drift, drift),
             changed=old.changed,
             **self._system.record,

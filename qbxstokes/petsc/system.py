@@ -8,6 +8,7 @@ matrix with one dense block for every lane, which is inverted by itself.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ from qbxstokes.typing import Array
 RK_FORMULAS = ("5dp", "8vr")
 # Right-hand sides of single bodies in this process so far, as they were forecast.
 _FORESEEN = [0.0]
+# Integrators with a right-hand side in C that have served: to make one takes as long as 20 steps.
+_IDLE: dict[Any, Any] = {}
+_NO_LIMIT = 1e20  # PETSc's own longest step
 
 
 @dataclass
@@ -58,12 +62,10 @@ class System:
         prefix: str = "",
         longest_step: float | None = None,
         breaks: int = 0,
-        comm: Any = PETSc.COMM_SELF,
     ) -> None:
-        self.equations, self.end, self._samples = equations, end, samples
-        self.prefix, self._longest, self.comm = prefix, longest_step, comm
+        self.equations, self.end, self._breaks = equations, end, breaks
+        self.prefix, self._longest = prefix, longest_step
         self.counter = Counter(start.evaluations, start.jacobians)
-        self._breaks = breaks
         self._changing = equations.changing
         if self._changing is not None:
             span, accuracy = end or 1.0, equations.accuracy_in_time(tolerance)
@@ -74,8 +76,8 @@ class System:
         # Whether it is the program that chose the method.
         self.chosen = method is None and not PETSc.Options().hasName(f"{prefix}ts_type")
         explicit = self._wanted in RK_FORMULAS
-        kind = "rk" if explicit else self._wanted
-        self.expected = start.expected or self.guide.evaluations(kind) + STAGES * samples
+        foreseen = self.guide.evaluations("rk" if explicit else self._wanted)
+        self.expected = start.expected or foreseen + STAGES * samples
         # By how many right-hand sides compiled ones repay their import. Many short runs of single
         # bodies count together: explicit formulas give the same numbers by either, to the last bit.
         self._repaid = self.expected
@@ -91,6 +93,7 @@ class System:
         self.layout = self.moving.layout
         self.native: Any = None
         self._former: list[Any] = []
+        self._integrators: list[tuple[Any, Any]] = []
 
     def before_step(self) -> None:
         """Let the compiled right-hand side know what may have changed."""
@@ -115,8 +118,8 @@ class System:
     @property
     def record(self) -> dict[str, Any]:
         """What a checkpoint keeps of it."""
-        names = "method", "local_tolerance", "reachable", "expected", "evaluations", "jacobians"
-        return {name: getattr(self, name) for name in names}
+        kept = "method", "local_tolerance", "reachable", "expected", "evaluations", "jacobians"
+        return {name: getattr(self, name) for name in kept}
 
     @property
     def explicit_in_c(self) -> bool:
@@ -153,7 +156,7 @@ class System:
         return self._changing is not None
 
     def near(self, t: float) -> tuple[float, float]:
-        """How far a step from t may go to see what the flow does, and where the flow jumps next."""
+        """How far a step from t may go to see the flow, and where the flow jumps next."""
         return (math.inf, math.inf) if self._changing is None else self._changing.near(t)
 
     @property
@@ -173,11 +176,11 @@ class System:
         if self._changing is not None:  # at the start the flow may be as good as still
             rates = self._scales[:, VELOCITY.start :]
             np.maximum(rates, 1.0 / (self.end or 1.0), out=rates)
-        return PETSc.Vec().createSeq(self.layout.size, comm=self.comm)
+        return PETSc.Vec().createSeq(self.layout.size, comm=PETSc.COMM_SELF)
 
-    def integrator(self, vector: Any, adaptive: bool) -> Any:
-        """A TS of the wanted type with its callbacks, as defaults below the options."""
-        ts = PETSc.TS().create(self.comm)
+    def _made(self, adaptive: bool) -> Any:
+        """A TS of the wanted type, by defaults below the options."""
+        ts = PETSc.TS().create(PETSc.COMM_SELF)
         ts.setOptionsPrefix(self.prefix)
         if self._wanted in RK_FORMULAS:
             ts.setType("rk")
@@ -185,7 +188,6 @@ class System:
         else:
             ts.setType(self._wanted)
         ts.setMaxSteps(2**31 - 1)
-        ts.setMaxTime(self.end)
         ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
         ts.setErrorIfStepFails(False)
         ts.setMaxStepRejections(100)
@@ -194,7 +196,6 @@ class System:
         ts.getSNES().setOptionsPrefix(f"{self.prefix}ts_")
         defaults = {
             "ts_adapt_wnormtype": "infinity",
-            **({"ts_adapt_dt_max": repr(self._longest)} if self._longest else {}),
             "ts_arkimex_type": "5",
             "ts_bdf_order": "6",
             "ts_snes_linesearch_type": "basic",
@@ -204,6 +205,18 @@ class System:
         forced = {} if adaptive else {"ts_adapt_type": "none"}
         with temporary_options(self.prefix, defaults, forced):
             ts.setFromOptions()
+        return ts
+
+    def integrator(self, vector: Any, adaptive: bool) -> Any:
+        """A TS of the wanted type with its callbacks, a new one or one that is idle."""
+        options = PETSc.Options().getAll()
+        key = self._wanted, vector.size, adaptive, self.prefix
+        told = any(name.startswith(f"{self.prefix}ts_") for name in options)
+        ts = (None if told else _IDLE.pop(key, None)) or self._made(adaptive)
+        ts.restartStep()
+        ts.setMaxTime(self.end)
+        if f"{self.prefix}ts_adapt_dt_max" not in options:
+            ts.setStepLimits(ts.getStepLimits()[0], self._longest or _NO_LIMIT)
         kind = str(ts.getType())
         self._by_lane = kind not in EXPLICIT_TYPES
         if self.native is not None and hasattr(self.native, "solve_with") != self._by_lane:
@@ -216,7 +229,6 @@ class System:
         self.method = str(ts.getRKType()) if kind == "rk" else kind
         self.local_tolerance = self._start.local_tolerance or self.guide.tolerance(kind)
         self.reachable = self._start.reachable or self.guide.reachable(kind)
-        self.rate = self._rate_callback()
         weights = vector.duplicate()
         self.write(weights, self._weights(kind))
         if self._by_lane:
@@ -227,7 +239,17 @@ class System:
             ts.setRHSFunction(self.rate, vector.duplicate())
         ts.setTolerances(rtol=self.local_tolerance, atol=weights)
         ts.setSolution(vector)
+        self._integrators.append((None if told or not self.leaps else key, ts))
         return ts
+
+    def release(self, idle: bool) -> None:
+        """Free the integrators; idle: but those that may serve other runs of a single body."""
+        for key, ts in self._integrators:
+            if idle and key is not None and key not in _IDLE:
+                _IDLE[key] = ts
+            else:
+                ts.destroy()
+        self._integrators = []
 
     def _weights(self, kind: str) -> Array:
         """Errors of a step that are accepted of small components, (columns, n_state).
@@ -242,7 +264,7 @@ class System:
             lasting = np.stack([*3 * [np.minimum(across, along)], turn, turn, spin], axis=1)
             least, most = accepted[:, RATES], self._tolerance * self._scales[:, RATES]
             accepted[:, RATES] = np.clip(self.local_tolerance * lasting, least, most)
-        for part in (POSITION, VELOCITY, SPIN):
+        for part in (POSITION,) if self.equations.massless else (POSITION, VELOCITY, SPIN):
             size = np.linalg.norm(state[:, part], axis=1, keepdims=True)
             accepted[:, part] = np.maximum(accepted[:, part], 4.0 * floor_of(kind) * size)
         return np.asarray(accepted)
@@ -277,7 +299,9 @@ class System:
                 self.native = NativeImplicit.made(block, self.layout)
         return self.native
 
-    def _rate_callback(self) -> Callable[[Any, float, Any, Any], None]:
+    @cached_property
+    def rate(self) -> Callable[[Any, float, Any, Any], None]:
+        """The right-hand side as a function of Python that TS may call."""
         counter, equations = self.counter, self.equations
 
         alone, direct = equations.layout.columns == 1, equations.direct

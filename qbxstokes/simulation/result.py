@@ -66,7 +66,7 @@ class Motion:
         lanes = assembled.parts[0].lanes if len(assembled.parts) == 1 else (states.shape[1],)
 
         def arranged(values: Array) -> Array:
-            turned = np.moveaxis(values, 0, 1)
+            turned = values.swapaxes(0, 1)
             return np.ascontiguousarray(turned).reshape(*lanes, *turned.shape[1:])
 
         events: dict[str, dict[str, Array]] = {}
