@@ -181,7 +181,7 @@ def test_exterior_maps_are_those_of_the_field() -> None:
     x *= (rng.uniform(1.2, 3.0, 20) / np.linalg.norm(x, axis=1))[:, None]
     v = np.tensordot(rng.normal(size=6), one.rigid, 1) + one.grid.points[:, [1, 2, 0]] ** 3
     flow = one.flow(v).evaluate(x, ("stress", "gradient"))
-    packed = one.harmonics.packed(one.coefficients(v)).T
+    packed = one.packed(v, one.inverse).T
     value, *slopes = one.harmonics.table(x, one.harmonics.degree)[:4] @ packed
     slope = np.array(slopes)
     velocity = value[:, :3] + slope[..., 3].T - np.einsum("ipj,pj->pi", slope[..., :3], x)

@@ -37,7 +37,7 @@ def test_reciprocity_by_the_other_route(k):
     one = scatterer(body(k).shape, 12)
     columns = []
     for data in [*one.rigid, *(one.grid.points @ strain for strain in STRAIN_BASIS)]:
-        sent = one.coefficients(data)
+        sent = one.packed(data, one.inverse)
         stresslet = np.einsum("aij,ij->a", STRAIN_BASIS, one.harmonics.first_moment(sent))
         columns.append(np.concatenate([one.harmonics.force_torque(sent), stresslet]))
     other, law = np.stack(columns, axis=1), body(k).law().grand_resistance

@@ -40,7 +40,7 @@ from qbxstokes.bie.arrivals import MIRRORED, Arrivals, Workspace
 from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.typing import Array, ComplexArray, Integers
+from qbxstokes.typing import Array, Integers
 
 SLOW = 1.3  # errors fall by exp(-SLOW a) a node, a the rate of the gap, or faster
 LEAST_NODES = 8
@@ -340,7 +340,7 @@ class Coupled:
         """Force and torque (6,) that body b with a packed flow exerts on the fluid, in space."""
         return self.to_space(b, self.maps[b].loads(flow), forces=True)
 
-    def stresslet(self, b: int, flow: ComplexArray) -> Array:
+    def stresslet(self, b: int, flow: Array) -> Array:
         """Stresslet (3, 3) of body b in space: sym-traceless first moment of the traction on it."""
         body = self.bodies[b]
         d = -self.maps[b].harmonics.first_moment(flow) * body.size**2

@@ -53,8 +53,7 @@ class Scatterer(SurfaceToExterior):
         """Force and torque (6, 4 * _LOW) of the lowest coefficients, packed."""
         units = np.zeros((4 * _LOW, 4, self.rigid_flows.shape[2]))
         units[:, :, :_LOW] = np.eye(4 * _LOW).reshape(-1, 4, _LOW)
-        h = self.harmonics
-        return np.stack([h.force_torque(h.unpacked(unit)) for unit in units], axis=1)
+        return np.stack([self.harmonics.force_torque(unit) for unit in units], axis=1)
 
     @cached_property
     def root_weights(self) -> Array:

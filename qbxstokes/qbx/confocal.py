@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from qbxstokes.geometry.shape import Revolution
-from qbxstokes.typing import Array, ComplexArray, Integers
+from qbxstokes.typing import Array, Integers
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,16 @@ class Harmonics:
         along = np.sqrt(1.5) / (3.0 * q0 * self.ratio[0, 1])
         return float(np.sqrt(0.5) / q0), np.array([across, across, along])
 
-    def first_moment(self, c: ComplexArray) -> Array:
-        """D (3, 3) = int y_i mu_j of the single layer mu whose flow has coefficients c."""
+    def first_moment(self, flow: Array) -> Array:
+        """D (3, 3) = int y_i mu_j of the single layer mu of a packed flow (4, 2 K)."""
         across, _, along = self._moments[1]
-        low = c[:3, 1, 1]
-        rows = [across * low.real, -across * low.imag, along * c[:3, 0, 1].real]
+        rows = [across * flow[:3, 4], -across * flow[:3, 5], along * flow[:3, 2]]
         return np.asarray(8.0 * np.pi * np.stack(rows))
 
-    def force_torque(self, c: ComplexArray) -> Array:
-        """Force and torque (6,) on the fluid of the flow with coefficients c, body frame."""
-        d = self.first_moment(c)
-        force = 8.0 * np.pi * self._moments[0] * c[:3, 0, 0].real
+    def force_torque(self, flow: Array) -> Array:
+        """Force and torque (6,) on the fluid of a packed flow (4, 2 K), body frame."""
+        d = self.first_moment(flow)
+        force = 8.0 * np.pi * self._moments[0] * flow[:3, 0]
         return np.concatenate([force, [d[1, 2] - d[2, 1], d[2, 0] - d[0, 2], d[0, 1] - d[1, 0]]])
 
     def table(self, points: Array, degree: int) -> Array:
@@ -173,25 +172,14 @@ class Harmonics:
         """Packed numbers up to a degree."""
         return 2 * int(self.start[degree] + min(degree + 1, self.orders))
 
-    def packed(self, c: ComplexArray) -> Array:
-        """Coefficients (4, orders, degree + 1) as real and imaginary parts (4, 2 K), interleaved.
-
-        Degree by degree and in one by orders m <= n, so that lower degrees come first.
-        """
-        rows, columns, _ = triangle(self.orders, self.degree)
-        return np.ascontiguousarray(c[:, rows, columns]).view(np.float64)
-
-    def unpacked(self, flat: Array) -> ComplexArray:
-        """The inverse of `packed`."""
-        rows, columns, _ = triangle(self.orders, self.degree)
-        c = np.zeros((4, self.orders, self.degree + 1), dtype=np.complex128)
-        c[:, rows, columns] = np.ascontiguousarray(flat).view(np.complex128)
-        return c
-
 
 @lru_cache(maxsize=256)
 def triangle(orders: int, degree: int) -> tuple[Integers, Integers, Integers]:
-    """Orders and degrees (K,) of the harmonics in packed coefficients, and where degrees begin."""
+    """Orders and degrees (K,) of the harmonics of packed flows, and where degrees begin.
+
+    A packed flow (4, 2 K) holds its coefficients degree by degree and in one by orders m <= n, so
+    that lower degrees come first, their real and imaginary parts side by side.
+    """
     n, m = np.meshgrid(np.arange(degree + 1), np.arange(orders), indexing="ij")
     start = np.cumsum([0, *np.minimum(np.arange(degree) + 1, orders)])
     return m[n >= m], n[n >= m], start

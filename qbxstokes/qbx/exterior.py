@@ -23,7 +23,7 @@ import numpy as np
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.symmetric import symmetric
 from qbxstokes.qbx.confocal import Harmonics, triangle
-from qbxstokes.typing import Array, ComplexArray, Integers
+from qbxstokes.typing import Array, Integers
 
 # What a Stokes flow is asked for at points, and the shape of it at each: d u_i / d x_j is
 # gradient[i, j], stress the components xx, yy, zz, xy, xz, yz.
@@ -64,30 +64,37 @@ def values_of(numbers: Array, what: Collection[str] = tuple(WHAT)) -> dict[str, 
 class ExteriorFlow:
     """A Stokes flow outside the spheroid that decays at infinity, in the body frame.
 
-    coefficients (4, orders, degree + 1), complex: B_x, B_y, B_z and C of u = B + grad(C - x . B)
-    (x held fixed under the gradient) as the real parts of sums of E_nm.
+    coefficients (4, 2 K): B_x, B_y, B_z and C of u = B + grad(C - x . B) (x held fixed under the
+    gradient), the real parts of sums of c_nm E_nm, packed (`confocal.triangle`).
     """
 
     harmonics: Harmonics
-    coefficients: ComplexArray
+    coefficients: Array
+
+    @cached_property
+    def _places(self) -> tuple[Array, Integers, Integers]:
+        """Sizes (4, K) of the coefficients, orders and degrees (K,)."""
+        orders, degrees, _ = triangle(self.harmonics.orders, self.harmonics.degree)
+        return np.abs(self.coefficients.view(np.complex128)), orders, degrees
 
     @cached_property
     def amplitude(self) -> Array:
         """Bound (degree + 1,) of what each degree adds to the velocity on the surface."""
-        k = self.harmonics.ratio_of_axes
+        k, (sizes, _, degrees) = self.harmonics.ratio_of_axes, self._places
         n = np.arange(self.harmonics.degree + 1)
-        size = np.abs(self.coefficients).sum(axis=(0, 1))
+        size = np.bincount(degrees, sizes.sum(axis=0), len(n))
         return np.asarray(size * np.sqrt(n + 0.5) * (n + 1.0) / min(k * k, 1.0))
 
     def trimmed(self) -> ExteriorFlow:
         """The same flow without highest orders and degrees of relative amplitude <= 1e-15."""
-        size = np.abs(self.coefficients).max(axis=0)
-        kept = np.argwhere(size > 1e-15 * size.max())
-        if not len(kept):
+        sizes, orders, degrees = self._places
+        kept = sizes.max(axis=0) > 1e-15 * sizes.max()
+        if not kept.any():
             return self
-        orders, degree = kept[:, 0].max() + 1, max(int(kept[:, 1].max()), 1)
-        harmonics = Harmonics(self.harmonics.shape, int(orders), degree)
-        return ExteriorFlow(harmonics, self.coefficients[:, :orders, : degree + 1])
+        order, degree = max(int(orders[kept].max()), 1), max(int(degrees[kept].max()), 1)
+        inside = np.repeat((orders <= order) & (degrees <= degree), 2)
+        harmonics = Harmonics(self.harmonics.shape, order + 1, degree)
+        return ExteriorFlow(harmonics, np.ascontiguousarray(self.coefficients[:, inside]))
 
     def evaluate(
         self, points: Array, what: Collection[str] = ("velocity",), tolerance: float = 0.0
@@ -106,7 +113,7 @@ class ExteriorFlow:
         evaluate(
             np.ascontiguousarray(points, dtype=float),
             h.ratio_of_axes,
-            h.packed(self.coefficients),
+            self.coefficients,
             h.orders,
             h.start,
             h.recurrence,
@@ -164,10 +171,6 @@ class SurfaceToExterior:
                 begin = here.stop
         return inverse.reshape(self._n_modes, 3 * size, 3 * n_theta), moments
 
-    def coefficients(self, velocity: Array) -> ComplexArray:
-        """Coefficients (4, orders, degree + 1) of B_x, B_y, B_z and C from velocity (N, 3)."""
-        return self.harmonics.unpacked(self.packed(velocity, self.inverse))
-
     def packed(self, velocity: Array, inverse: Array) -> Array:
         """The packed coefficients from velocities on some of the circles, inverse those of them."""
         from qbxstokes.qbx.exterior_kernel import exterior
@@ -193,7 +196,7 @@ class SurfaceToExterior:
 
     def flow(self, velocity: Array) -> ExteriorFlow:
         """The exterior flow with the given velocity (N, 3) on the surface, without net flux."""
-        return ExteriorFlow(self.harmonics, self.coefficients(velocity))
+        return ExteriorFlow(self.harmonics, self.packed(velocity, self.inverse))
 
     def _block(self, m: int) -> tuple[Array, Array]:
         """Density from the velocity of mode m, and the coefficients of C from the density.

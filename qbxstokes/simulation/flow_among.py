@@ -136,12 +136,11 @@ class FlowAmong:
                 total["pressure_gradient"] += own["pressure_gradient"] @ turn.T / size**2
             if problem.wall is None or not len(x):
                 continue
-            packed = outside.harmonics.packed(sent)
-            velocity, pressure = problem.reflected(c, packed, x)
+            velocity, pressure = problem.reflected(c, sent, x)
             total["velocity"] += velocity
             total["pressure"] += pressure
             if len(asked) > 2:
-                slopes = self._slopes(c, packed, x)
+                slopes = self._slopes(c, sent, x)
                 for name in slopes.keys() & asked:
                     total[name] += slopes[name]
         return total

@@ -329,7 +329,7 @@ class Suspension:
                 data -= problem.background(background)
             x = solver.solve(data)
             _, sent = solver.swept(x)
-            flows = [problem.maps[b].harmonics.unpacked(sent[b]) for b in range(len(self))]
+            flows = [sent[b].copy() for b in range(len(self))]
             loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
@@ -353,7 +353,7 @@ class Suspension:
         parts = {b: problem.alone(b, own[rows])[1] for b, rows in problem.slices.items()}
         less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
         motion = np.stack([problem.to_space(b, alone[b][0] - less[b]) for b in driven])
-        flows = [problem.maps[b].harmonics.unpacked(driven[b] + sent[b]) for b in driven]
+        flows = [driven[b] + sent[b] for b in driven]
         solver.release()
 
         def again(nodes: list[int]) -> Solution:
