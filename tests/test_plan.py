@@ -92,8 +92,9 @@ def test_a_kept_body_with_resistance_serves_without_and_not_the_reverse(
     heavy = load_case(write_case(CASE | {"body": {"aspect_ratio": 0.5, "stokes_number": 1}}))
 
     def formed(loaded: Any, folder: str) -> Any:
-        workshop = Workshop(cache=Cache(tmp_path / folder))
-        return make_plan(loaded).simulation.assemble(workshop).hydrodynamics[0]
+        scene = make_plan(loaded).simulation
+        scene.body.workshop = Workshop(cache=Cache(tmp_path / folder))
+        return scene.assemble().hydrodynamics[0]
 
     alone, whole = formed(free, "small"), formed(heavy, "large")
     assert formed(heavy, "small").facts["cache"] == "formed"

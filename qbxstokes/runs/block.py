@@ -3,6 +3,7 @@
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -20,7 +21,7 @@ from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import simulation_of
-from qbxstokes.simulation.hydrodynamics import Workshop
+from qbxstokes.simulation.hydrodynamics import hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import AnyArray, Array, Indices
@@ -97,7 +98,6 @@ def compute_block(
     scenes: Sequence[Simulation],
     result: BlockResult,
     discard: float,
-    workshop: Workshop,
     pushed: bool,
     poke: Callable[[], bool],
     keeper: Keeper,
@@ -105,8 +105,8 @@ def compute_block(
     """Integrate the lanes of all scenes together, and fill in the first of the results, in order.
 
     Those that fail are told and left out: a block that cannot be integrated is halved until what
-    fails stands alone. pushed: see `assemble`. poke: called at every step; where it says stop, the
-    state is saved, and the result is not whole.
+    fails stands alone. pushed: form the resistance in any case. poke: called at every step; where
+    it says stop, the state is saved, and the result is not whole.
     """
     parts: list[Part] = []
     first = 0
@@ -114,7 +114,7 @@ def compute_block(
         lanes = _sound(scene, first, result)
         parts.append((scene, lanes, first + lanes))
         first += len(scene)
-    integration = _Integration(result, discard, workshop, pushed, poke, keeper)
+    integration = _Integration(result, discard, pushed, poke, keeper)
     integration.restore()
     integration.compute(parts)
 
@@ -145,7 +145,6 @@ class _Integration:
 
     result: BlockResult
     discard: float
-    workshop: Workshop
     pushed: bool
     poke: Callable[[], bool]
     keeper: Keeper
@@ -180,9 +179,8 @@ class _Integration:
         begin = clock.perf_counter()
         assembled = assemble(
             [scene.at(lanes) for scene, lanes, _ in parts],
-            self.workshop,
             checked=True,
-            pushed=self.pushed,
+            maker=partial(hydrodynamics_of, pushed=self.pushed),
             evaluation="compiled",  # a sweep repays the import, however small its blocks
         )
         run, spent = LaneRun.of(assembled, self.result.times), 0.0

@@ -16,7 +16,6 @@ from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.law import Law, form_law
-from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -33,19 +32,20 @@ def run(job: Job) -> dict[str, Any]:
         return _of_several(job)
 
     def compute(team: RowTeam) -> dict[str, Any]:
-        return _computed(job, Workshop(team))
+        job.plan.simulation.body.workshop = Workshop(team)
+        return _computed(job)
 
     return on_root(job.comm, with_team(job.comm, compute))
 
 
-def _computed(job: Job, workshop: Workshop) -> dict[str, Any]:
+def _computed(job: Job) -> dict[str, Any]:
     """Form the body, write the result file, and return the summary."""
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     in_flow = loaded.case.flow is not None
     with clock.part("set-up"), pointed(loaded):
-        formed = form_law(scene, in_flow, workshop)
+        formed = form_law(scene, in_flow)
     with clock.part("stresslet"):
-        stresslet = form_stresslet(scene.body, workshop)
+        stresslet = scene.body.stress
     law, compared = Law(scene, formed, in_flow, stresslet), Comparison()
     with clock.part("law"):
         arrays = law.arrays

@@ -29,7 +29,7 @@ from qbxstokes.runs.plan import MotionPlan, Plan
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, exact_model
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, exact_model
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.simulation import Simulation
 from qbxstokes.typing import Array
@@ -95,7 +95,7 @@ def forecast(scene: Simulation, times: Array, stokes_number: float) -> float:
     return told.evaluations("rk" if method in ("5dp", "8vr") else method) + sampled
 
 
-def _exact(scene: Simulation, _: Workshop) -> Hydrodynamic:
+def _exact(scene: Simulation) -> Hydrodynamic:
     """The body by closed forms, and the flow about the start."""
     flow, place = scene.carrier, scene.position[0]
     near = flow.polynomial or PolynomialFlow(
@@ -229,12 +229,12 @@ def suspension_seconds(loaded: LoadedCase, plan: Plan) -> float:
     """What `task: rheology` takes after the start, from some of its Peclet numbers, or axes."""
     from qbxstokes.runs.rheology import suspension_of
 
-    section, workshop = loaded.case.rheology, Workshop()
+    section = loaded.case.rheology
     numbers, random = list(section.peclet_number), section.langevin
 
     def spent(some: list[float], axes: int) -> float:
         begin = time.process_time()
-        suspension_of(loaded, plan.simulation, workshop, {"trajectories": axes, "paths": 0}, some)
+        suspension_of(loaded, plan.simulation, {"trajectories": axes, "paths": 0}, some)
         return time.process_time() - begin
 
     spent(numbers[:1], AXES)  # forms the body, loads kernels or compiles them

@@ -185,8 +185,9 @@ def run(job: Job) -> dict[str, Any]:
             return {"result": str(found), "finished_before": True}
         with job.clock.part("models"):
             cache = open_cache(loaded.case.hydrodynamics.cache, job.options.no_cache)
-            formed = on_root(comm, lambda: ensemble.with_laws(Workshop(cache=cache)).given_laws)
-            ensemble = replace(ensemble, given_laws=formed)
+            for body in ensemble.bodies:
+                body.workshop = Workshop(cache=cache)
+            ensemble = replace(ensemble, given_laws=on_root(comm, lambda: ensemble.laws))
         gathering = Gathering(comm, folder, UNITS, every=every)
         left = sorted(set(range(len(units))) - set(found))
         begin = time.perf_counter()

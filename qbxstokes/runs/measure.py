@@ -28,7 +28,7 @@ from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.compare import Comparison, compare_samples
 from qbxstokes.simulation.from_case import body_of, simulation_of, start_of
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.law import Law, form_law
 from qbxstokes.simulation.simulation import Simulation
@@ -101,7 +101,7 @@ class Measurer:
         in_flow = loaded.case.flow is not None
         for _ in range(self._scenes.turns):
             scene = start_of(loaded)
-            formed = timed(spans, partial(form_law, scene, in_flow, Workshop()))
+            formed = timed(spans, partial(form_law, scene, in_flow))
             if self._poke():
                 raise Stopped
         law = Law(scene, formed, in_flow, scene.body.stress)
@@ -132,8 +132,8 @@ class Measurer:
         key = json.dumps(alike, sort_keys=True)
         known, setup = self._known.get(key, (None, None))
 
-        def form(part: Simulation, workshop: Workshop) -> Hydrodynamic:
-            return timed(setups, partial(hydrodynamics_of, part, workshop))
+        def form(part: Simulation) -> Hydrodynamic:
+            return timed(setups, partial(hydrodynamics_of, part))
 
         for _ in range(turns):
             body = known or body_of(loaded)

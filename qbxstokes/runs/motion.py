@@ -159,9 +159,10 @@ def _of_one(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
     loaded, case, clock = job.loaded, job.loaded.case, job.clock
     # Options of the solver want to be seen at work.
     off = job.options.no_cache or bool(session.solver_options(job.PETSc))
-    workshop = Workshop(team, open_cache(case.hydrodynamics.cache, off))
+    cache = open_cache(case.hydrodynamics.cache, off)
+    job.plan.simulation.body.workshop = Workshop(team, cache)
     with clock.part("set-up"), pointed(loaded):
-        assembled = job.plan.simulation.assemble(workshop, checked=True)
+        assembled = job.plan.simulation.assemble(checked=True)
         events = assembled.watch()
 
     def facts(trajectory: Trajectory) -> dict[str, Any]:

@@ -59,22 +59,21 @@ def run(job: Job) -> dict[str, Any]:
             return averaging(ensemble)
 
         cache = open_cache(job.loaded.case.hydrodynamics.cache, job.options.no_cache)
-        return _computed(job, Workshop(team, cache), together)
+        job.plan.simulation.body.workshop = Workshop(team, cache)
+        return _computed(job, together)
 
     return on_root(job.comm, with_team(job.comm, compute, {"langevin": averaging}))
 
 
-def _computed(
-    job: Job, workshop: Workshop, averaging: Callable[[Ensemble], list[Sums]]
-) -> dict[str, Any]:
+def _computed(job: Job, averaging: Callable[[Ensemble], list[Sums]]) -> dict[str, Any]:
     """Form the body, compute its suspension, write the result file, and return the summary."""
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     case = loaded.case
     section = case.rheology
     with clock.part("set-up"), _pointed(loaded):
-        formed = hydrodynamics_of(scene, workshop, pushed=True)
+        formed = hydrodynamics_of(scene, pushed=True)
     with clock.part("suspension"), _pointed(loaded):
-        found = suspension_of(loaded, scene, workshop, {"averaging": averaging})
+        found = suspension_of(loaded, scene, {"averaging": averaging})
     errors, references = {}, {}
     shape = scene.body.shape
     if case.compare.reference != "none" and isinstance(shape, Spheroid):
@@ -107,7 +106,6 @@ def _computed(
 def suspension_of(
     loaded: LoadedCase,
     scene: Simulation,
-    workshop: Workshop,
     random: Mapping[str, Any],
     numbers: Sequence[float] | None = None,
 ) -> Rheology | BrownianAverages:
@@ -125,7 +123,6 @@ def suspension_of(
         "frequency": section.frequency,
         "orientations": axes,
         "position": scene.position[0],
-        "workshop": workshop,
     }
     if section.langevin is not None:
         return langevin(scene.body, scene.flow, **common, **{**vars(section.langevin), **random})

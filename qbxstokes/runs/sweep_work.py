@@ -97,7 +97,7 @@ def form_models(
     no_cache = no_cache or bool(session.solver_options(session.start()))
     named = scenes.loaded.case.hydrodynamics.cache
     cache = Cache(open_cache(named, no_cache).folder, shared=True)
-    workshop, counters, told = Workshop(cache=cache), HandOut(comm), time.monotonic()
+    counters, told = HandOut(comm), time.monotonic()
     while (place := counters.next(HandOut.NUMBERS)) < len(needed):
         number = needed[place]
         if speak and time.monotonic() > told + _PATIENCE:
@@ -107,7 +107,9 @@ def form_models(
         try:
             scene = scenes.scene(representatives[number])
             with pointed(scene.loaded):
-                hydrodynamics_of(scene.plan.simulation, workshop, pushed=scenes.pushed)
+                simulation = scene.plan.simulation
+                simulation.body.workshop = Workshop(cache=cache)
+                hydrodynamics_of(simulation, pushed=scenes.pushed)
         except QbxStokesError as error:
             errors[number] = error
     counters.wait()
@@ -201,7 +203,7 @@ class _Together:
         result.failed = dict(enumerate(lost.values(), len(index) - len(lost)))
         gathering, poke = self._crew.gathering, self._crew.poke
         keeper = Keeper(gathering, str(number), [] if only is None else index.tolist())
-        common = sweep.discard, self._workshop, scenes.pushed, poke, keeper
+        common = sweep.discard, scenes.pushed, poke, keeper
         block.compute_block(simulations, result, *common)
         return result
 
@@ -212,4 +214,5 @@ class _Together:
             raise self._errors[body]
         if body not in self._bodies:
             self._bodies[body] = body_of(self._scenes.scene(number).loaded)
+            self._bodies[body].workshop = self._workshop
         return block.lanes_of(self._scenes, number, index, self._bodies[body])

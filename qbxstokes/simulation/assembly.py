@@ -22,7 +22,7 @@ from qbxstokes.motion.observables import observe
 from qbxstokes.motion.stress import StressSource
 from qbxstokes.quantities import STRESS
 from qbxstokes.simulation import arguments as given
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
 from qbxstokes.simulation.result import Motion
 from qbxstokes.simulation.watching import (
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _PERIODIC = "period", "period_change", "orbit_drift"
 # What makes the hydrodynamics of a scene: its integral equation, or closed forms in a forecast.
-Maker = Callable[["Simulation", Workshop], Hydrodynamic]
+Maker = Callable[["Simulation"], Hydrodynamic]
 # Steps at least over a run whose flow or loads change in time, of which the start tells nothing.
 _STEPS_IN_TIME = 50.0
 # Instants at which such a flow is checked before the run.
@@ -262,27 +262,23 @@ class Assembled:
 
 def assemble(
     parts: Sequence[Simulation],
-    workshop: Workshop | None = None,
     *,
     t: float = 0.0,
     checked: bool = False,
-    pushed: bool = False,
     evaluation: Any = "auto",
-    maker: Maker | None = None,
+    maker: Maker = hydrodynamics_of,
 ) -> Assembled:
     """Put the scenes together: the only place where body, flow, loads and equations meet.
 
-    checked: the flows have been checked before. pushed: form resistances in any case. evaluation:
-    of the right-hand side (`RigidBodyEquations`). maker: what makes the hydrodynamics instead of
-    the integral equation. Raises SceneError for scenes that cannot be integrated together.
+    checked: the flows have been checked before. evaluation: of the right-hand side
+    (`RigidBodyEquations`). maker: what makes the hydrodynamics. Raises SceneError for scenes that
+    cannot be integrated together.
     """
-    workshop = workshop or Workshop()
     parts = tuple(parts)
     if not checked:
         for part in parts:
             part.check()
-    make = partial(hydrodynamics_of, pushed=pushed) if maker is None else maker
-    formed = tuple(make(part, workshop) for part in parts)
+    formed = tuple(maker(part) for part in parts)
     first = parts[0]
     counts = [len(part) for part in parts]
     models: Any = formed[0].model
@@ -309,10 +305,8 @@ def assemble(
         _stacked([part.angular_velocity for part in parts]),
         t,
     )
-    again = partial(
-        assemble, workshop=workshop, t=t, checked=True, pushed=pushed, evaluation=evaluation
-    )
-    return Assembled(parts, formed, equations, initial, partial(again, maker=maker))
+    again = partial(assemble, t=t, checked=True, evaluation=evaluation, maker=maker)
+    return Assembled(parts, formed, equations, initial, again)
 
 
 def _gradients(part: Simulation, t: Array) -> Array:

@@ -179,7 +179,7 @@ class CoupledSimulation(Simulation):
 
         return Together(self)
 
-    def integrate(self, times: ArrayLike, **_: Any) -> CoupledMotion:
+    def integrate(self, times: ArrayLike) -> CoupledMotion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
         Raises ContactError for bodies that touch, ConvergenceError where a step cannot be

@@ -8,7 +8,7 @@ once, in tiles of time, for all bodies.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -33,7 +33,6 @@ from qbxstokes.simulation.ensemble_means import (
     standard_error,
     stress_columns,
 )
-from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.rheology import particle_of
 from qbxstokes.simulation.shared_gradient import SharedGradient, gradients_of
 from qbxstokes.typing import Array, Integers
@@ -123,28 +122,6 @@ class Ensemble:
         """All that is found, in the order of the sums; axes of strain where they are asked for."""
         return (*RATES, *STRAINS) if {*STRAINS} & {*self.settings.quantities} else RATES
 
-    def with_laws(self, workshop: Workshop) -> Ensemble:
-        """The same with the laws of the bodies, formed now."""
-        laws = []
-        for body in self.bodies:
-            inertial = turns_with_inertia(body)
-            m = body.formed(1, "surface" if inertial else None, workshop)[0].model
-            own = [m.faxen.linear, m.faxen.rest, 0.0, 0.0, 0.0, m.error_estimate]
-            if inertial:
-                across, _, along = m.shape.inertia.tolist()
-                pulls = (
-                    m.resistance.rotation_transverse / across,
-                    m.resistance.rotation_axial / along,
-                )
-                own[2:5] = *np.array(pulls) / body.stokes_number, along / across
-            if self.settings.stresses:
-                p, error = particle_of(body, workshop)
-                kt = self.diffusivity * p.resistance
-                own[5] = max(own[5], error)
-                own += [float(s) for s in (*p.stresslet, 3.0 * kt * p.linear) / np.array(p.volume)]
-            laws.append(own)
-        return replace(self, given_laws=np.array(laws))
-
     @property
     def diffusivity(self) -> float:
         """Of the axes, 0 without Brownian motion."""
@@ -156,8 +133,27 @@ class Ensemble:
 
         With stresses (B, 10): S0, S1, S2 and 3 kT lambda over the volume as well.
         """
-        given = self.given_laws
-        return self.with_laws(Workshop()).laws if given is None else given
+        if self.given_laws is not None:
+            return self.given_laws
+        laws = []
+        for body in self.bodies:
+            inertial = turns_with_inertia(body)
+            m = body.formed(1, "surface" if inertial else None)[0].model
+            own = [m.faxen.linear, m.faxen.rest, 0.0, 0.0, 0.0, m.error_estimate]
+            if inertial:
+                across, _, along = m.shape.inertia.tolist()
+                pulls = (
+                    m.resistance.rotation_transverse / across,
+                    m.resistance.rotation_axial / along,
+                )
+                own[2:5] = *np.array(pulls) / body.stokes_number, along / across
+            if self.settings.stresses:
+                p, error = particle_of(body)
+                kt = self.diffusivity * p.resistance
+                own[5] = max(own[5], error)
+                own += [float(s) for s in (*p.stresslet, 3.0 * kt * p.linear) / np.array(p.volume)]
+            laws.append(own)
+        return np.array(laws)
 
     @property
     def bytes_of_sums(self) -> int:

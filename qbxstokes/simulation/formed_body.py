@@ -66,6 +66,8 @@ class FormedBody:
             given = {"tolerance": tolerance, **(hydrodynamics or {})}
             self.settings = section("hydrodynamics", Hydrodynamics, given)
             self.strict = True
+        # Who forms the operators, and where they are kept.
+        self.workshop = Workshop()
         self._formed: dict[tuple[int, Completion | None], tuple[AccurateBody, list[Any]]] = {}
         self._stress: dict[str, Stresslet] = {}
 
@@ -95,16 +97,14 @@ class FormedBody:
             inertia=inertia,
             hydrodynamics=self.settings,
         )
-        other.strict, other._formed, other._stress = self.strict, self._formed, self._stress
+        other.strict, other.workshop = self.strict, self.workshop
+        other._formed, other._stress = self._formed, self._stress
         return other
 
     # -- hydrodynamics ------------------------------------------------------------------------
 
     def formed(
-        self,
-        degree: int = 3,
-        completion: Completion | None = "surface",
-        workshop: Workshop | None = None,
+        self, degree: int = 3, completion: Completion | None = "surface"
     ) -> tuple[AccurateBody, list[Any]]:
         """The solved body and the GMRES solvers used, once for every kind of flow asked of it.
 
@@ -113,10 +113,7 @@ class FormedBody:
         self.check_size()
         key = degree, completion
         if key not in self._formed:
-            section = self.settings
-            self._formed[key] = form_body(
-                self.shape, section, degree, completion, self.strict, workshop or Workshop()
-            )
+            self._formed[key] = form_body(self, degree, completion)
         return self._formed[key]
 
     def check_size(self) -> None:

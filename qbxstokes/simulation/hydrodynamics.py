@@ -40,6 +40,7 @@ from qbxstokes.reference import faxen
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
+    from qbxstokes.simulation.formed_body import FormedBody
     from qbxstokes.simulation.simulation import Simulation
 
 # GMRES residual over the tolerance asked for, so that the solve is not what limits the accuracy.
@@ -95,18 +96,14 @@ class Hydrodynamic:
 
 
 def form_body(
-    shape: Revolution,
-    section: Hydrodynamics,
-    degree: int,
-    completion: Completion | None,
-    strict: bool,
-    workshop: Workshop,
+    body: FormedBody, degree: int, completion: Completion | None
 ) -> tuple[AccurateBody, list[Any]]:
     """The body model and its functional, from the cache if it has them, and the solvers used.
 
-    degree: of the flow, 1 to 3 (3 for flows that are not polynomial). strict: raise
-    ConvergenceError where rounding forbids the tolerance.
+    degree: of the flow, 1 to 3 (3 for flows that are not polynomial). Raises ConvergenceError where
+    rounding forbids a tolerance that somebody asked for.
     """
+    shape, section, workshop = body.shape, body.settings, body.workshop
     cache, scheme = workshop.cache, explicit_scheme(section)
     solvers: list[Any] = []
     residual = solver_tolerance(section, shape)
@@ -129,19 +126,19 @@ def form_body(
             del arrays["model_resistance"]
     if arrays is not None:
         return AccurateBody.from_arrays(arrays), []
-    body = accurate_body(
+    found = accurate_body(
         shape,
         section.tolerance,
         scheme,
         side=side_of(section),
         degree=degree,
-        strict=strict,
+        strict=body.strict,
         completion=completion,
         solver=solver_factory(section, solvers),
         form_rows=workshop.form_rows,
     )
-    cache.store("body", key, body.to_arrays())
-    return body, solvers
+    cache.store("body", key, found.to_arrays())
+    return found, solvers
 
 
 def _fault_of_body(shape: Shape, degree: int, arrays: Mapping[str, Any]) -> str:
@@ -230,7 +227,7 @@ def solver_factory(section: Hydrodynamics, solvers: list[Any]) -> Callable[[Any,
 
 
 def hydrodynamics_of(
-    scene: Simulation, workshop: Workshop, *, pushed: bool = False, degree: int | None = None
+    scene: Simulation, *, pushed: bool = False, degree: int | None = None
 ) -> Hydrodynamic:
     """The body model of a scene, and what knows the free motion in its flow at each step.
 
@@ -239,24 +236,25 @@ def hydrodynamics_of(
     """
     body, flow, section = scene.body, scene.carrier, scene.body.settings
     degree = degree or (3 if flow.degree is None else min(3, max(1, flow.degree)))
-    before, completion = workshop.cache.found, scene.completion(pushed)
-    formed, solvers = body.formed(degree, completion, workshop)
+    cache, completion = body.workshop.cache, scene.completion(pushed)
+    before = cache.found
+    formed, solvers = body.formed(degree, completion)
     model = formed.model
     facts = {
         "scheme": section.scheme,
         "completion": completion,
         "gmres_tolerance": solver_tolerance(section, body.shape),
-        "cache": "found" if workshop.cache.found > before else "formed",
+        "cache": "found" if cache.found > before else "formed",
         "n_phi": formed.functional.grid.n_phi,
         **vars(formed.scheme),
     }
     if model.error_parts is not None:
         facts["error_parts"] = dict(vars(model.error_parts))
-    found = Hydrodynamic(model, None, facts, list(solvers), workshop.cache.problems)
+    found = Hydrodynamic(model, None, facts, list(solvers), cache.problems)
     if scene.recognised is not None:
         facts["recognised"] = scene.recognised.told
     if scene.kind == "every_step":
-        found.provider = _solved_motion(scene, formed, completion, found, workshop)
+        found.provider = _solved_motion(scene, formed, completion, found)
     elif scene.kind == "grid":
         found.provider = whole = _grid_motion(scene, formed, facts)
         if section.derivatives:
@@ -309,7 +307,6 @@ def _solved_motion(
     body: AccurateBody,
     completion: Completion | None,
     found: Hydrodynamic,
-    workshop: Workshop,
 ) -> Any:
     """The free motion by a solve at every step."""
     from qbxstokes.bie.operators import surface_operators
@@ -317,6 +314,7 @@ def _solved_motion(
 
     scheme: Scheme = body.scheme
     flow, own, section = scene.carrier, scene.body.shape, scene.body.settings
+    workshop = scene.body.workshop
     n_phi, degree = section.n_phi, flow.degree
     if isinstance(scheme, GradedScheme) and degree is None:
         n_theta, needed = _flow_nodes(scene, body, found.facts)

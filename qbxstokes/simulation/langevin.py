@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.result import shown
 from qbxstokes.simulation.rheology import (
     asked_of,
@@ -89,7 +88,6 @@ def langevin(
     paths: int = 0,
     translation: bool = False,
     position: ArrayLike = (0.0, 0.0, 0.0),
-    workshop: Workshop | None = None,
     averaging: Callable[[Ensemble], list[Sums]] | None = None,
 ) -> BrownianAverages:
     """What `rheology` computes, from Brownian trajectories: a second, independent way.
@@ -130,7 +128,7 @@ def langevin(
     starts = starts_of(orientations, None, np.full(1, np.inf)).axes
     if starts is not None and protocol != "startup":
         raise SceneError("orientations", f"have no meaning for {protocol}", "protocol: startup")
-    particle, _ = particle_of(body, workshop)
+    particle, _ = particle_of(body)
     transport = Transport(homogeneous, particle.linear)
     found, steps = [], []
     for peclet in np.atleast_1d(numbers).tolist():

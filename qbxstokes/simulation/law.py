@@ -11,7 +11,7 @@ from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.compare import Comparison
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, Workshop, hydrodynamics_of, true_error
+from qbxstokes.simulation.hydrodynamics import Hydrodynamic, hydrodynamics_of, true_error
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.typing import Array
 
@@ -20,9 +20,9 @@ _REFERENCE_NODES, _FINER = 40, 2
 _IN_FLOW = ("free_velocity", "free_angular_velocity", "held_force", "held_torque")
 
 
-def form_law(scene: Simulation, in_flow: bool, workshop: Workshop) -> Hydrodynamic:
+def form_law(scene: Simulation, in_flow: bool) -> Hydrodynamic:
     """Form the body of a scene with its resistance: for its flow, or for flows of degree <= 3."""
-    return hydrodynamics_of(scene, workshop, pushed=True, degree=None if in_flow else 3)
+    return hydrodynamics_of(scene, pushed=True, degree=None if in_flow else 3)
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,8 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.simulation.arguments import numbers as as_numbers
 from qbxstokes.simulation.arguments import require_flow
 from qbxstokes.simulation.body import Body
-from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.inertial import inertial_means
 from qbxstokes.simulation.result import shown
-from qbxstokes.simulation.stresses import form_stresslet
 from qbxstokes.suspension import orbits
 from qbxstokes.suspension.distribution import Distribution
 from qbxstokes.suspension.fokker_planck import Evolution, Transport, converged, isotropic
@@ -69,11 +67,11 @@ class Rheology:
         return {name: value for name, value in vars(self).items() if name not in skipped}
 
 
-def particle_of(body: Body, workshop: Workshop | None = None) -> tuple[Particle, float]:
+def particle_of(body: Body) -> tuple[Particle, float]:
     """What the rheology needs of a body, and the relative error that it has."""
-    formed, _ = body.formed(1, "surface", workshop)
+    formed, _ = body.formed(1, "surface")
     model = formed.model
-    stress = form_stresslet(body, workshop) if workshop else body.stress
+    stress = body.stress
     particle = Particle(
         stress.numbers, model.faxen.linear, model.resistance.rotation_transverse, body.shape.volume
     )
@@ -124,7 +122,6 @@ def rheology(
     settling: float = 400.0,
     tolerance: float = 1e-8,
     position: ArrayLike = (0.0, 0.0, 0.0),
-    workshop: Workshop | None = None,
 ) -> Rheology:
     """Stress of a dilute suspension of a body in a homogeneous flow.
 
@@ -161,7 +158,7 @@ def rheology(
         right = "0: inertial bodies take peclet_number: inf and protocol: steady"
         raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
     homogeneous = linear_flow(flow, position)
-    particle, error = particle_of(body, workshop)
+    particle, error = particle_of(body)
     transport = Transport(homogeneous, particle.linear)
     history = history_of(asked, homogeneous.rate)
     if np.any(body.stokes_number):

@@ -32,7 +32,6 @@ from qbxstokes.simulation.arguments import (
     turned,
 )
 from qbxstokes.simulation.assembly import Assembled, assemble
-from qbxstokes.simulation.hydrodynamics import Workshop
 from qbxstokes.simulation.lanes import check_brownian
 from qbxstokes.simulation.result import Motion
 from qbxstokes.typing import Array, Indices
@@ -263,18 +262,16 @@ class Simulation:
 
     # -- what is done with it -----------------------------------------------------------------
 
-    def assemble(
-        self, workshop: Workshop | None = None, *, t: float = 0.0, checked: bool = False
-    ) -> Assembled:
+    def assemble(self, *, t: float = 0.0, checked: bool = False) -> Assembled:
         """The equations of the scene with their start at time t, hydrodynamics formed."""
-        return assemble([self], workshop, t=t, checked=checked)
+        return assemble([self], t=t, checked=checked)
 
-    def integrate(self, times: ArrayLike, *, workshop: Workshop | None = None) -> Motion:
+    def integrate(self, times: ArrayLike) -> Motion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
 
         Raises ConvergenceError where a step cannot be completed.
         """
-        return self.assemble(workshop).integrate(times)
+        return self.assemble().integrate(times)
 
     def to_yaml(self, times: ArrayLike | None = None) -> str:
         """The text of a case that says the same; lanes become an axis of a sweep.

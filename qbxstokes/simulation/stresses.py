@@ -20,7 +20,6 @@ from qbxstokes.motion.layout import POSITION
 from qbxstokes.motion.stress import mean_strain, stresslets, torque_stresslets
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.simulation.hydrodynamics import (
-    Workshop,
     explicit_scheme,
     side_of,
     solver_factory,
@@ -37,9 +36,9 @@ if TYPE_CHECKING:
 _FLOW_SHARE = 0.1
 
 
-def form_stresslet(body: FormedBody, workshop: Workshop | None = None) -> Stresslet:
+def form_stresslet(body: FormedBody) -> Stresslet:
     """The stresslet of a body to its tolerance, from the cache if it is there; raises as `Body`."""
-    workshop, section, shape = workshop or Workshop(), body.settings, body.shape
+    workshop, section, shape = body.workshop, body.settings, body.shape
     fixed = explicit_scheme(section)
     scheme = fixed or choose_scheme(section.tolerance, side=side_of(section))
     key = {
