@@ -265,7 +265,7 @@ class Composed(Flow):
     def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those of all terms."""
         found = [flow.breaks(end, rough / len(self.terms)) for flow in self.terms]
-        return np.asarray(np.unique(np.concatenate(found)))
+        return np.concatenate(found)
 
     def until(self, t: float, since: float = -math.inf) -> None:
         """So do all terms."""

@@ -84,7 +84,7 @@ class ChangingFlow(SumFlow):
         if rough > 0.0:
             linear = self.polynomials and self.degree == 1
             rough /= max(1.0, np.abs(self._ranks[1]).max()) if linear else np.inf
-        return np.union1d(self.signal.breaks(end, rough), super().breaks(end))
+        return np.concatenate([self.signal.breaks(end, rough), super().breaks(end)])
 
     def until(self, t: float, since: float = -math.inf) -> None:
         """Show itself, from now on, as between breaks: at t as just before, at `since` as after."""

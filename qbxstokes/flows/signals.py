@@ -51,6 +51,12 @@ _LEAST = 1e7  # steps of a run beyond which it is refused
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
 
 
+def within(instants: Sequence[Array], end: float) -> Array:
+    """Those between 0 and `end`, in order."""
+    found = np.concatenate(instants)
+    return np.unique(found[(found > 0.0) & (found < end)]) if len(found) else found
+
+
 @dataclass(frozen=True)
 class Part:
     """Numbers of one source: a function of t or a series, the shape it has, and its key.
@@ -145,8 +151,7 @@ class Signal(Between):
 
     def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Instants between 0 and `end` at which the numbers are not smooth (`Part.breaks`)."""
-        found = np.unique(np.concatenate([part.breaks(end, rough) for part in self.parts]))
-        return np.asarray(found[(found > 0.0) & (found < end)])
+        return within([part.breaks(end, rough) for part in self.parts], end)
 
     def at(self, t: float) -> Array:
         """The numbers (m,) at an instant, as between the breaks about it."""

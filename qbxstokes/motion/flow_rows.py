@@ -6,6 +6,7 @@ the block, the plain kernels and the compiled loop; before that the flows themse
 """
 
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from qbxstokes.flows.signals import Sampled, Signal
 from qbxstokes.motion.lanes import PerLane
 from qbxstokes.motion.taylor import pack_flow
 from qbxstokes.typing import Array, Integers
+
+_PACKED: WeakKeyDictionary[ChangingFlow, Array] = WeakKeyDictionary()
 
 
 class FlowRows:
@@ -34,9 +37,7 @@ class FlowRows:
                 if self.group is not None:
                     self.group[lanes] = len(self._flows)
                 self._flows.append(flow)
-        packed = [
-            np.stack([pack_flow(term) for term in flow.polynomials], axis=1) for flow in self._flows
-        ]
+        packed = [_packed(flow) for flow in self._flows]
         pairs = list(zip(self._flows, packed, strict=True))
         self.rows = 4 + np.flatnonzero(
             np.any([every[4:, : len(flow.units)].any(axis=1) for flow, every in pairs], axis=0)
@@ -171,6 +172,13 @@ class FlowRows:
         known = self._sampled
         assert known is not None
         return known.edges, known.origins, known.scales, self._coefficients()
+
+
+def _packed(flow: ChangingFlow) -> Array:
+    """The numbers of its terms, (64, terms), made once."""
+    if flow not in _PACKED:
+        _PACKED[flow] = np.stack([pack_flow(term) for term in flow.polynomials], axis=1)
+    return _PACKED[flow]
 
 
 def _value(coefficients: Any, x: float) -> Any:

@@ -347,11 +347,13 @@ class Pieces:
         """`time_rate` (n,), in polynomial flows that change its mean until `horizon` later."""
         asked = t, y.tobytes(), horizon
         if self._mean_rate[0] != asked:
-            rates = self.time_rate(t, y)
+            sizes = np.zeros((1, self.n_lanes))
             with suppress(FlowError):  # told when the run comes to it
                 if self.changing is not None:
                     sizes = np.linalg.norm(self._gradients(y, t + horizon * _SHARES), axis=(-2, -1))
-                    rates = np.mean(np.where(sizes > 0.0, sizes, rates), axis=0)
+            known = sizes > 0.0
+            rates = sizes if known.all() else np.where(known, sizes, self.time_rate(t, y))
+            rates = np.mean(rates, axis=0)
             self._mean_rate = asked, rates
         return self._mean_rate[1]
 

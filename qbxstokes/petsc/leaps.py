@@ -20,7 +20,8 @@ class Leaps:
     """Those of an integrator `ts` of a system, whose solution is `vector`.
 
     watch: what is to see the steps, None or one with a `passage` of the axis that alone matters.
-    before, start: when the last step began, and from which vector; error: PETSc's, of that step.
+    before, start: when the last step began, and from which vector; error: PETSc's, of that step;
+    passed: whether it is to be seen.
     """
 
     def __init__(self, system: System, ts: Any, vector: Any, watch: Any) -> None:
@@ -28,7 +29,7 @@ class Leaps:
 
         self._system, self._ts, self._run = system, ts, compiled_leap()
         self._handles, self.start = (ts.handle, vector.handle), np.empty(vector.size)
-        self.before, self.error = 0.0, None
+        self.before, self.error, self.passed = 0.0, None, True
         passage = getattr(watch, "passage", None)
         planes = np.zeros(6) if passage is None else np.array(passage.planes)
         self._look = system.place_of_q, 0.0 if passage is None else passage.stretch, planes
@@ -48,7 +49,7 @@ class Leaps:
         if t + 1.001 * self._ts.getTimeStep() > known:
             return False
         most, until = min(last - self._ts.getStepNumber(), _MOST), until - 1e-13 * abs(until)
-        failed, self.before = self._run(
+        failed, self.before, self.passed = self._run(
             *self._handles, until, known, most, self.start, edges, *self._look
         )
         self.error = PETSc.Error(failed) if failed else None

@@ -37,46 +37,53 @@ def _passage(y: Any, place: int, stretch: float, n: Any) -> Any:
     return along, math.atan2(across, stretch * along)
 
 
+@numba.njit(error_model="numpy")
+def _passed(start: Any, now: Any, place: int, stretch: float, planes: Any) -> bool:
+    """Whether the axis passes the plane between two states, or turns far."""
+    a, first = _passage(start, place, stretch, planes)
+    b, second = _passage(now, place, stretch, planes)
+    turn = abs(second - first)
+    far = min(turn, 2.0 * math.pi - turn) > LARGEST_TURN
+    return far or (a > 0.0) != (b > 0.0) or (a < 0.0) != (b < 0.0)
+
+
 def _leap(  # type: ignore[no-untyped-def]
     ts, vector, until, known, most, start, edges, place, stretch, planes
 ):
-    """Steps of `ts`, whose solution is `vector`; PETSc's error, and when the last one began.
+    """Steps of `ts`, whose solution is `vector`: PETSc's error, when the last one began, `passed`.
 
     That is the first which ends at `until` or later, in which the axis passes a plane, which has to
     be judged, or the `most`th, or from whose end one more would go beyond `known`. start becomes
     the state at its beginning. edges: of pieces of the flow, of which a step may see the next two
     (`flows.signals.Sampled.near`). place: of q in the state. planes: normal and across (6,).
+    passed: whether the axis passes the plane in the last step, or may do.
     """
     where, reason, clock = np.empty(1, np.intp), np.zeros(1, np.int32), np.empty(2)
-    failed, now = _get_time(ts, clock.ctypes), start.copy()
+    failed, now, passed = _get_time(ts, clock.ctypes), start.copy(), True
     before = clock[0]
     for taken in range(most):
         t = clock[0]
         failed += _get_step(ts, clock[1:].ctypes)
         if failed or (taken and t + clock[1] > known - 1e-3 * clock[1]):
             break
-        failed = _get_state(vector, where.ctypes)
+        failed, passed = _get_state(vector, where.ctypes), True
         before, start[:] = t, carray(pointer(where[0]), (len(start),))
         failed += _restore_state(vector, where.ctypes)
         last = np.searchsorted(edges, t, "right") + 1
         if last < len(edges) and edges[last] < t + clock[1]:
             failed += _set_step(ts, edges[last] - t)
         failed += _step(ts) + _get_time(ts, clock.ctypes) + _get_reason(ts, reason.ctypes)
-        if failed or reason[0] != 0 or not t < clock[0] < until:
+        if failed or reason[0] < 0 or not t < clock[0]:
             break
         failed = _get_state(vector, where.ctypes)
         now[:] = carray(pointer(where[0]), (len(start),))
         failed += _restore_state(vector, where.ctypes)
         if failed or not math.isfinite(np.sum(np.abs(now))):
             break
-        if stretch > 0.0:
-            a, first = _passage(start, place, stretch, planes)
-            b, second = _passage(now, place, stretch, planes)
-            turn = abs(second - first)
-            passed = (a > 0.0) != (b > 0.0) or (a < 0.0) != (b < 0.0)
-            if passed or min(turn, 2.0 * math.pi - turn) > LARGEST_TURN:
-                break
-    return failed, before
+        passed = stretch > 0.0 and _passed(start, now, place, stretch, planes)
+        if passed or reason[0] > 0 or clock[0] >= until:
+            break
+    return failed, before, passed
 
 
 @cache

@@ -179,16 +179,17 @@ class Run:
             if interrupted is not None and interrupted():
                 return False
             before, start, halt = t, self._vector.getArray(readonly=1).copy(), None
+            seen = watch is not None
             try:
                 until = min(times[index], self.checkpoint.time + chunk_time)
                 if leaps and not self._jumps and leaps.take(t, until, min(cut, self._most_steps)):
-                    before, start = leaps.before, leaps.start
+                    before, start, seen = leaps.before, leaps.start, leaps.passed
                     self._judge(before, leaps.error)
                 else:
                     self._to_break(t, start)
                 t = min(ts.getTime(), self._end)
                 t = self._end if math.isclose(t, self._end, rel_tol=1e-14) else t
-                if watch is not None:
+                if watch is not None and seen:
                     halt = watch(self._inside.observed(before, start, t))
             except (FlowError, ContactError, ConvergenceError) as error:
                 if observe is None:

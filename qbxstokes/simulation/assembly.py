@@ -205,9 +205,13 @@ class Assembled:
         different starts apart the motion may end further off.
         """
         found = []
-        for part, formed in zip(self.parts, self.hydrodynamics, strict=True):
-            instants = np.linspace(0.0, end, 1 if part.flow.steady else _INSTANTS_CHECKED)
-            rate = np.mean(np.linalg.norm(_gradients(part, instants), axis=(1, 2)))
+        whole = self.equations
+        for part, formed, lanes in zip(self.parts, self.hydrodynamics, self.slices(), strict=True):
+            if part.flow.steady or whole.changing is None:
+                instants = np.linspace(0.0, end, 1 if part.flow.steady else _INSTANTS_CHECKED)
+                rate = np.mean(np.linalg.norm(_gradients(part, instants), axis=(1, 2)))
+            else:
+                rate = whole.mean_rate(0.0, self.initial, end)[lanes].mean()
             linear = part.carrier.degree is not None and part.carrier.degree <= 1
             law = float(rate) * end * _period_error(formed.model, linear)
             parts = {"integration": self.tolerance, "law": law, "rounding": rounding}

@@ -10,6 +10,7 @@ import numpy as np
 
 from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian, seems_stokesian
+from qbxstokes.flows.signals import within
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
@@ -146,8 +147,7 @@ def breaks_of(flows: Sequence[Flow], end: float, error: float) -> Array:
 
     error: that falls to a step over the longest one, as rough as which a gradient may be.
     """
-    found = np.unique(np.concatenate([flow.breaks(end, _ROUGH * error) for flow in flows]))
-    return np.asarray(found[(found > 0.0) & (found < end)])
+    return within([flow.breaks(end, _ROUGH * error) for flow in flows], end)
 
 
 def stops_of(flows: Sequence[Flow], end: float, accuracy: float, longest: float) -> Array:
