@@ -106,8 +106,8 @@ class FieldWork:
             from qbxstokes.simulation.flow_among import AmongBodies
             from qbxstokes.simulation.from_case import coupled_of
 
-            held = section.body == "held"
-            self.solution = AmongBodies(coupled_of(loaded), section.tolerance, held)
+            given = {"tolerance": section.tolerance} if "tolerance" in section.given_keys else {}
+            self.solution = AmongBodies(coupled_of(loaded), held=section.body == "held", **given)
         else:
             body = body_of(loaded)
             self.solution = AroundBody(body.shape, loaded.flow, body.settings, section.tolerance)

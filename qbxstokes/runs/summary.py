@@ -90,12 +90,13 @@ def remarks(job: Job, summary: dict[str, Any]) -> Iterator[str]:
         yield near_edge(near["gap"], near["time"])
     if loaded.case.units is not None:
         yield from loaded.case.units.scales.remarks
-    field = loaded.case.field
-    if field is not None and (not loaded.case.coupled or "tolerance" in field.given_keys):
+    if (field := loaded.case.field) is not None:
         errors = summary["errors"] | summary.get("field", {}).get("errors", {})
-        if (slip := errors.get("no slip", 0.0)) > field.tolerance:
-            asked = f"field.tolerance {field.tolerance:g}"
-            yield f"{asked} is missed: the slip on a surface is {slip:.1e}"
+        own = not loaded.case.coupled or "tolerance" in field.given_keys
+        asked = field.tolerance if own else aim
+        if (slip := errors.get("no slip", 0.0)) > asked:
+            name = "field" if own else "hydrodynamics"
+            yield f"{name}.tolerance {asked:g} is missed: the slip on a surface is {slip:.1e}"
     if compared is not None and summary.get("largest_error") is None:
         why = summary.get("note") or "no closed form is known or asked for"
         yield f"compare.tolerance {compared:g} is held against nothing: {why}"

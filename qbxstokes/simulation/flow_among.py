@@ -274,6 +274,25 @@ class FlowAmong:
         return np.asarray(np.linalg.norm(one - other, axis=-1) / (self.scale or 1.0))
 
 
+def resolved(
+    solve: Callable[[list[int]], FlowAmong], nodes: list[int], tolerance: float
+) -> FlowAmong:
+    """The flow on grids, at first of these nodes, whose slip is within a tolerance, or the finest.
+
+    The grids that serve motions and loads do not: their errors are of the order of the slip
+    squared.
+    """
+    while True:
+        found = solve(nodes)
+        wanting = (found.slips > tolerance) & (np.array(nodes) < MOST_NODES)
+        if not wanting.any():
+            return found
+        for b in np.flatnonzero(wanting):
+            slip = min(float(found.slips[b]), 0.1)
+            more = max(2, math.ceil(nodes[b] * math.log(slip / tolerance) / -math.log(slip)))
+            nodes[b] = min(nodes[b] + more + more % 2, MOST_NODES)
+
+
 class AmongBodies:
     """Solves for the flow among the bodies of a scene at instants: as `around.AroundBody`.
 
@@ -303,26 +322,19 @@ class AmongBodies:
         return self._latest[1]
 
     def _resolved(self, instant: Instant) -> FlowAmong:
-        """The flow on grids whose slip is within the tolerance, or on the finest there are.
-
-        The grids that serve the motion do not: its errors are of the order of the slip squared.
-        """
+        """The flow at the instant, see `resolved`."""
         suspension, x = self.scene.suspension, np.reshape(instant.position, (-1, 3))
         q, tolerance = np.reshape(instant.quaternion, (-1, 4)), suspension.tolerance
         places = suspension.placed(x, q)
         nodes = suspension.grids(places, self.flow, instant.time, clipped=True)
         if self._nodes is not None:
             nodes = np.maximum(nodes, self._nodes).tolist()
-        while True:
+
+        def solve(nodes: list[int]) -> FlowAmong:
             solution = self._solved(instant, x, q, nodes)
-            found = FlowAmong(solution, self.flow, instant.time, self.scene.shaped)
-            wanting = (found.slips > tolerance) & (np.array(nodes) < MOST_NODES)
-            if not wanting.any():
-                return found
-            for b in np.flatnonzero(wanting):
-                slip = min(float(found.slips[b]), 0.1)
-                more = max(2, math.ceil(nodes[b] * math.log(slip / tolerance) / -math.log(slip)))
-                nodes[b] = min(nodes[b] + more + more % 2, MOST_NODES)
+            return FlowAmong(solution, self.flow, instant.time, self.scene.shaped)
+
+        return resolved(solve, nodes, tolerance)
 
     def moving(self, equations: Any, t: float, y: Array) -> tuple[Array, FlowAmong]:
         """dy/dt of the states y (N, n_state) of a motion, and the flow then: one after the other.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -265,11 +266,28 @@ class Suspension:
         """What is asked for at points (P, 3) of space, to contact and on the wall.
 
         what: as of `Body.field`. source (P,): -1 inside a body or behind the wall, where values
-        are NaN. The bodies are free but for the loads of `free`.
+        are NaN. The bodies are free but for the loads of `free`. Grids are refined until the slip
+        on all surfaces, relative to the largest speed of one in the flow, is within the tolerance;
+        warns where they do not suffice, unless `nodes` are given.
         """
-        from qbxstokes.simulation.flow_among import FlowAmong
+        from qbxstokes.simulation.flow_among import FlowAmong, resolved
 
-        found = FlowAmong(self.free(flow, position, orientation, **loads), flow, loads.get("t", 0))
+        t = loads.get("t", 0.0)
+
+        def solve(nodes: list[int] | None) -> FlowAmong:
+            given = {"nodes": nodes, **loads}
+            return FlowAmong(self.free(flow, position, orientation, **given), flow, t)
+
+        if "nodes" in loads:
+            found = solve(None)
+        else:
+            self.check(flow, t)
+            places = self.placed(position, orientation)
+            nodes = self.grids(places, flow, t, clipped=True, free=True)
+            found = resolved(solve, nodes, self.tolerance)
+            if (slip := found.slip) > self.tolerance:
+                missed = f"the slip on a surface is {slip:.1e}"
+                warnings.warn(f"tolerance {self.tolerance:g} is missed: {missed}", stacklevel=2)
         return found.evaluate(np.asarray(points, float).reshape(-1, 3), what)
 
     def integrate(
