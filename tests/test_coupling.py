@@ -9,7 +9,6 @@ import pytest
 
 import qbxstokes as qs
 from qbxstokes.bie.multiple_scattering import Placed, closest
-from qbxstokes.bie.scatterer import scatterer
 from qbxstokes.errors import ContactError, SceneError
 from qbxstokes.flows.user import UserFlow
 from qbxstokes.geometry import rotation
@@ -181,21 +180,18 @@ def test_what_cannot_be_served_is_told() -> None:
         two.free_motion(None, [[0, 0, 3], [0, 0, 6]], force=[np.inf, 0, 0])
 
 
-def test_exterior_maps_are_those_of_the_field() -> None:
-    one = scatterer(qs.Spheroid(0.5), 12)
+def test_what_bodies_send_is_their_field() -> None:
+    pair = qs.Suspension([qs.Body(0.5), qs.Body(2.0)], UP, tolerance=1e-10)
+    places = pair.placed([[0.0, 0.0, 2.0], [2.5, 0.5, 3.5]], [[0.2, 0.1, 1.0], [1.0, 0.3, 0.4]])
+    problem = pair.problem(places, [12, 10])
+    one, other = problem.maps[0], problem.bodies[1]
     rng = np.random.default_rng(0)
-    x = rng.normal(size=(20, 3))
-    x *= (rng.uniform(1.2, 3.0, 20) / np.linalg.norm(x, axis=1))[:, None]
     v = np.tensordot(rng.normal(size=6), one.rigid, 1) + one.grid.points[:, [1, 2, 0]] ** 3
-    flow = one.flow(v).evaluate(x, ("stress", "gradient"))
-    packed = one.packed(v, one.inverse).T
-    value, *slopes = one.harmonics.table(x, one.harmonics.degree)[:4] @ packed
-    slope = np.array(slopes)
-    velocity = value[:, :3] + slope[..., 3].T - np.einsum("ipj,pj->pi", slope[..., :3], x)
-    assert np.allclose(velocity, flow["velocity"], atol=1e-12)
-    assert np.allclose(-2.0 * np.einsum("ipi->p", slope[..., :3]), flow["pressure"], atol=1e-12)
-    shear = flow["gradient"][:, 0, 2] + flow["gradient"][:, 2, 0]
-    assert np.allclose(shear, flow["stress"][:, 4], atol=1e-12)
+    arrived = problem.arriving({0: one.packed(v, one.inverse)})[problem.slices[1]]
+    outside, x = one.flow(v), problem.points[1]
+    sent = outside.evaluate(places[0].to_body(x))["velocity"] @ places[0].rotation.T
+    sent += problem.reflected(0, outside, x)[0]
+    assert np.allclose(arrived @ other.rotation.T, sent, atol=1e-9 * np.abs(sent).max())
 
 
 def test_two_equal_spheres_fall_side_by_side_and_reversed_motion_returns() -> None:

@@ -40,6 +40,7 @@ from qbxstokes.bie.arrivals import MIRRORED, Arrivals, Workspace
 from qbxstokes.bie.scatterer import Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
+from qbxstokes.qbx.exterior import ExteriorFlow
 from qbxstokes.typing import Array, Integers
 
 SLOW = 1.3  # errors fall by exp(-SLOW a) a node, a the rate of the gap, or faster
@@ -272,20 +273,18 @@ class Coupled:
         x = self.bodies[c].to_body(points)
         return self.maps[c].degrees_for(x, tolerance), x
 
-    def reflected(self, c: int, flow: Array, points: Array) -> tuple[Array, Array]:
-        """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's packed flow."""
-        from qbxstokes.qbx.exterior_basis import add_answers
-
+    def reflected(self, c: int, flow: ExteriorFlow, points: Array) -> tuple[Array, Array]:
+        """Velocity (N, 3) and pressure (N,) of the wall's answer to body c's flow."""
         assert self.wall is not None
-        degrees, x = self.degrees(c, points, True)
-        table = self.maps[c].harmonics.table(x, int(degrees.max()))
-        found = np.zeros((len(points), 3)), np.zeros(len(points))
-        body, heights = self.bodies[c], self.wall.height(points)
-        normal = body.rotation.T @ self.wall.normal
-        most = min(table.shape[2], flow.shape[1])
-        given = x, table, flow, most, body.rotation, normal, body.size
-        add_answers(*given, heights, np.arange(len(points)), *found)
-        return found
+        body, tolerance = self.bodies[c], MIRRORED * self.tolerance * float(flow.amplitude.max())
+        what = ("velocity", "gradient", "pressure", "pressure_gradient")
+        found = flow.evaluate(body.to_body(self.wall.mirrored(points)), what, tolerance)
+        normal, h = body.rotation.T @ self.wall.normal, self.wall.height(points) / body.size
+        lift, push = normal @ found["gradient"], found["pressure_gradient"]
+        u = h[:, None] * (2.0 * lift + h[:, None] * push)
+        u -= found["velocity"] + 2.0 * (u @ normal)[:, None] * normal
+        p = found["pressure"] - 2.0 * h * (push @ normal) - 4.0 * (lift @ normal)
+        return u @ body.rotation.T, p / body.size
 
     @cached_property
     def arrivals(self) -> Arrivals:

@@ -153,16 +153,6 @@ class Harmonics:
         force = 8.0 * np.pi * self._moments[0] * flow[:3, 0]
         return np.concatenate([force, [d[1, 2] - d[2, 1], d[2, 0] - d[0, 2], d[0, 1] - d[1, 0]]])
 
-    def table(self, points: Array, degree: int) -> Array:
-        """The harmonics up to a degree at points (P, 3) of the body frame, see `tabulate`."""
-        from qbxstokes.qbx.exterior_kernel import tabulate
-
-        orders, k = min(degree + 1, self.orders), self.ratio_of_axes
-        rows, _, start = triangle(orders, degree)
-        values = np.empty((10, len(points), 2 * len(rows)))
-        tabulate(points, k, degree, orders, start, self.recurrence, True, values)
-        return values
-
     @cached_property
     def start(self) -> Integers:
         """Where the harmonics of each degree begin among those that are packed."""

@@ -104,7 +104,7 @@ class ExteriorFlow:
         NaN inside the body. tolerance: absolute error of the velocity that may be made by leaving
         out high degrees far from the body; 0 leaves out none.
         """
-        from qbxstokes.qbx.exterior_kernel import evaluate
+        from qbxstokes.qbx.exterior_sums import evaluate
 
         h, size = self.harmonics, self.amplitude
         if {"gradient", "pressure_gradient"} & set(what):

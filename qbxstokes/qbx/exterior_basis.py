@@ -1,6 +1,6 @@
 """Compiled flows of several bodies, or of one by a wall, at the points of others, from tables.
 
-The tables are those of `exterior_kernel.tabulate`. Imported only when bodies couple.
+Imported only when bodies couple.
 """
 
 import math
@@ -9,7 +9,71 @@ import numpy as np
 from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.qbx.exterior_kernel import confocal, tabulate
+from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal, second_derivatives, slopes
+
+
+@njit(inline="always")
+def put(table, row, i, column, value):  # type: ignore[no-untyped-def]
+    """Real part and minus the imaginary part of a value, in two columns."""
+    table[row, i, column], table[row, i, column + 1] = value.real, -value.imag
+
+
+@njit(cache=compiled_are_kept(), fastmath=True, inline="always")
+def tabulate(points, k, degree, orders, start, recurrence, second, table):  # type: ignore[no-untyped-def]
+    """Fill table (4 or 10, P, 2 K) at points (P, 3) of the body frame, outside the body.
+
+    Rows: E, its three first derivatives and, if second, xx, yy, zz, xy, xz, yz. Columns: real part
+    and minus the imaginary part of E_nm for n <= degree, m <= n, m < orders, m fastest, degree n
+    from the harmonic start[n] on, so that Re(sum c E) is the product with the real and imaginary
+    parts of c, interleaved.
+    """
+    inverse_ratio, rise, fall, diagonal = recurrence
+    e2 = (1.0 - k) * (1.0 + k)
+    ratio, nothing = np.zeros((orders, degree + 2)), complex(0.0, 0.0)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        rho2 = x * x + y * y
+        alpha2, gamma, delta = confocal(rho2, z, e2)
+        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
+        all_ratios(orders, degree, gamma, alpha, e2, ratio)
+        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
+        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
+        zk, w, w1, w2 = complex(x, y) / k, complex(1.0, 0.0), nothing, nothing
+        first = 1.0
+        for m in range(orders):
+            q = first
+            p, pd, pdd = diagonal[m], 0.0, 0.0
+            p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
+            for n in range(m, degree + 1):
+                column, before = 2 * (start[n] + m), q * inverse_ratio[m, n]
+                q = before * ratio[m, n]
+                qg = ((n - m) * gamma * q - max(n + m, 1) * before) / alpha2
+                f, fg, fh = q * p, qg * p, q * pd
+                l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
+                put(table, 0, i, column, w * f)
+                put(table, 1, i, column, w * l[0] + w1 * f)
+                put(table, 2, i, column, w * l[1] + w1 * 1j * f)
+                put(table, 3, i, column, w * l[2])
+                if second:
+                    qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
+                    fgg, fgh, fhh = qgg * p, qg * pd, q * pdd
+                    xx, yy, zz, xy, xz, yz = second_derivatives(
+                        w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
+                    )
+                    put(table, 4, i, column, xx)
+                    put(table, 5, i, column, yy)
+                    put(table, 6, i, column, zz)
+                    put(table, 7, i, column, xy)
+                    put(table, 8, i, column, xz)
+                    put(table, 9, i, column, yz)
+                up, down = rise[m, n], fall[m, n]
+                p, p_last, pd, pd_last, pdd, pdd_last = (
+                    *(up * eta * p - down * p_last, p),
+                    *(up * (eta * pd + p) - down * pd_last, pd),
+                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
+                )
+            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
+            first *= k * k / alpha2
 
 
 @njit(cache=compiled_are_kept())

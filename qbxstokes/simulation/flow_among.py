@@ -136,16 +136,16 @@ class FlowAmong:
                 total["pressure_gradient"] += own["pressure_gradient"] @ turn.T / size**2
             if problem.wall is None or not len(x):
                 continue
-            velocity, pressure = problem.reflected(c, sent, x)
+            velocity, pressure = problem.reflected(c, outside, x)
             total["velocity"] += velocity
             total["pressure"] += pressure
             if len(asked) > 2:
-                slopes = self._slopes(c, sent, x)
+                slopes = self._slopes(c, outside, x)
                 for name in slopes.keys() & asked:
                     total[name] += slopes[name]
         return total
 
-    def _slopes(self, c: int, sent: Array, x: Array) -> dict[str, Array]:
+    def _slopes(self, c: int, sent: ExteriorFlow, x: Array) -> dict[str, Array]:
         """Gradients of the wall's answer to body c's flow, by differences."""
         problem = self.problem
         assert problem.wall is not None
