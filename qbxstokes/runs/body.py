@@ -15,7 +15,7 @@ from qbxstokes.runs.shared_rows import RowTeam, with_team
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
-from qbxstokes.simulation.law import Law, form_law
+from qbxstokes.simulation.law import Law
 from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
@@ -43,16 +43,16 @@ def _computed(job: Job) -> dict[str, Any]:
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     in_flow = loaded.case.flow is not None
     with clock.part("set-up"), pointed(loaded):
-        formed = form_law(scene, in_flow)
+        law, compared = Law(scene, in_flow), Comparison()
     with clock.part("stresslet"):
         stresslet = scene.body.stress
-    law, compared = Law(scene, formed, in_flow, stresslet), Comparison()
     with clock.part("law"):
         arrays = law.arrays
     if loaded.case.compare.reference != "none":
         with clock.part("comparison"):
             compared = law.errors(arrays)
             compared.add("stresslet", "Jeffery, Kim and Karrila", law.stresslet_error())
+    formed = law.formed
     found = {
         "hydrodynamics": formed.report(),
         "nodes": int(formed.facts["n_theta"]) * int(formed.facts["n_phi"]),

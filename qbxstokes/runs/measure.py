@@ -30,7 +30,7 @@ from qbxstokes.simulation.compare import Comparison, compare_samples
 from qbxstokes.simulation.from_case import body_of, simulation_of, start_of
 from qbxstokes.simulation.hydrodynamics import Hydrodynamic, hydrodynamics_of
 from qbxstokes.simulation.lanes import LaneRun
-from qbxstokes.simulation.law import Law, form_law
+from qbxstokes.simulation.law import Law
 from qbxstokes.simulation.simulation import Simulation
 
 # Columns of a body that its report holds.
@@ -100,12 +100,10 @@ class Measurer:
         spans: list[float] = []
         in_flow = loaded.case.flow is not None
         for _ in range(self._scenes.turns):
-            scene = start_of(loaded)
-            formed = timed(spans, partial(form_law, scene, in_flow))
+            law = timed(spans, partial(Law, start_of(loaded), in_flow))
             if self._poke():
                 raise Stopped
-        law = Law(scene, formed, in_flow, scene.body.stress)
-        arrays = law.arrays
+        arrays, formed = law.arrays, law.formed
         resistance = vars(formed.model.resistance)
         found = {f"resistance_{name}": value for name, value in resistance.items()}
         for name, values in arrays.items():

@@ -171,7 +171,7 @@ def _of_one(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
         return {
             "jeffery_period": job.plan.period,
             "hydrodynamics": body.report(),
-            "cache_problems": body.problems,
+            "cache_problems": cache.problems,
             **({"resistance": vars(resistance)} if resistance else {}),
             "relaxation_times": relaxation_times(assembled.equations),
             "events": events_summary(events),

@@ -68,7 +68,6 @@ class Hydrodynamic:
     provider: Any
     facts: dict[str, Any] = field(default_factory=dict)
     solvers: list[Any] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
 
     def report(self) -> dict[str, Any]:
         """How it was obtained, in numbers and words: discretisation, solves, estimated error."""
@@ -250,7 +249,7 @@ def hydrodynamics_of(
     }
     if model.error_parts is not None:
         facts["error_parts"] = dict(vars(model.error_parts))
-    found = Hydrodynamic(model, None, facts, list(solvers), cache.problems)
+    found = Hydrodynamic(model, None, facts, list(solvers))
     if scene.recognised is not None:
         facts["recognised"] = scene.recognised.told
     if scene.kind == "every_step":

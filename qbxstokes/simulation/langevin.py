@@ -13,14 +13,7 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.result import shown
-from qbxstokes.simulation.rheology import (
-    asked_of,
-    history_of,
-    linear_flow,
-    particle_of,
-    starts_of,
-)
-from qbxstokes.suspension.fokker_planck import Transport
+from qbxstokes.simulation.rheology import Dilute, starts_of
 from qbxstokes.suspension.langevin import Ensemble, Sums, longest_step
 from qbxstokes.suspension.particle import History, Protocol
 from qbxstokes.typing import Array
@@ -110,30 +103,29 @@ def langevin(
     """
     random = {"trajectories": trajectories, "strain": strain, "step": step, "seed": seed}
     random |= {"paths": paths, "translation": translation}
-    asked = asked_of(
+    dilute = Dilute(
         body,
+        flow,
         peclet_number,
+        position,
         protocol=protocol,
         times=times,
         amplitude=amplitude,
         frequency=frequency,
         langevin={key: value for key, value in random.items() if value is not None},
     )
-    numbers = np.reshape(asked.peclet_number, np.shape(peclet_number))
+    numbers, history = dilute.numbers, dilute.history
     if np.any(body.stokes_number):
         wrong = f"is {np.max(body.stokes_number):g}"
         raise SceneError("stokes_number", wrong, "0: Brownian motion is that of massless bodies")
-    homogeneous = linear_flow(flow, position)
-    history = history_of(asked, homogeneous.rate)
     starts = starts_of(orientations, None, np.full(1, np.inf)).axes
     if starts is not None and protocol != "startup":
         raise SceneError("orientations", f"have no meaning for {protocol}", "protocol: startup")
-    particle, _ = particle_of(body)
-    transport = Transport(homogeneous, particle.linear)
+    particle, _ = dilute.formed
     found, steps = [], []
     for peclet in np.atleast_1d(numbers).tolist():
         ensemble = Ensemble(
-            transport,
+            dilute.transport,
             particle,
             1.0 / peclet,
             history,
@@ -168,16 +160,11 @@ def langevin(
         trajectories=trajectories,
         step=np.reshape(steps, numbers.shape)[()],
         summary={
-            "protocol": protocol,
+            **dilute.summary,
             "method": "langevin",
             "trajectories": trajectories,
             "step": steps,
             "seed": seed,
-            "rate": homogeneous.rate,
-            "viscosity_at_rest": particle.viscosity_at_rest,
-            "viscosity_of_isotropic": particle.viscosity_of_isotropic,
-            "frequency": history.cycle,
-            "stresslet_numbers": particle.stresslet.tolist(),
         },
     )
 

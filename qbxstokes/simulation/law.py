@@ -1,17 +1,15 @@
 """The hydrodynamics of one body without a motion: its law, its state in a flow, its errors."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from qbxstokes.bie.stresslet import Stresslet
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.reference import faxen, stress
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.compare import Comparison
-from qbxstokes.simulation.hydrodynamics import Hydrodynamic, hydrodynamics_of, true_error
+from qbxstokes.simulation.hydrodynamics import hydrodynamics_of, true_error
 from qbxstokes.simulation.simulation import ORIGIN, Simulation
 from qbxstokes.typing import Array
 
@@ -20,19 +18,15 @@ _REFERENCE_NODES, _FINER = 40, 2
 _IN_FLOW = ("free_velocity", "free_angular_velocity", "held_force", "held_torque")
 
 
-def form_law(scene: Simulation, in_flow: bool) -> Hydrodynamic:
-    """Form the body of a scene with its resistance: for its flow, or for flows of degree <= 3."""
-    return hydrodynamics_of(scene, pushed=True, degree=None if in_flow else 3)
-
-
-@dataclass(frozen=True)
 class Law:
-    """The numbers of a formed body; in_flow: with what it does where the scene puts it."""
+    """The numbers of a formed body; in_flow: for the scene's flow, with what it does in there.
 
-    scene: Simulation
-    formed: Hydrodynamic
-    in_flow: bool
-    stresslet: Stresslet
+    Else for flows of degree <= 3. formed: with the resistance.
+    """
+
+    def __init__(self, scene: Simulation, in_flow: bool) -> None:
+        self.scene, self.in_flow = scene, in_flow
+        self.formed = hydrodynamics_of(scene, pushed=True, degree=None if in_flow else 3)
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -54,7 +48,7 @@ class Law:
     @property
     def _numbers(self) -> dict[str, float]:
         """S0, S1, S2 and the held S1."""
-        model, free = self.formed.model, self.stresslet.numbers.tolist()
+        model, free = self.formed.model, self.scene.body.stress.numbers.tolist()
         numbers = dict(zip(("S0", "S1", "S2"), free, strict=True))
         torque = 0.5 * model.resistance.rotation_transverse * model.faxen.linear**2
         return numbers | {"held": numbers["S1"] + torque}

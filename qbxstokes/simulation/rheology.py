@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,18 +95,60 @@ def linear_flow(flow: Flow, position: ArrayLike) -> LinearFlow:
     return LinearFlow(gradient, rate, ShearFrame.of(gradient).shear)
 
 
-def asked_of(body: Body, peclet_number: ArrayLike, **keys: Any) -> RheologySection:
-    """Section `rheology` of the case that asks the same; raises SceneError for what it refuses."""
-    if not hasattr(body, "stokes_number"):
-        raise SceneError("body", f"is {body!r}", "a body such as qs.Body(0.2)")
-    keys |= {"peclet_number": np.atleast_1d(np.asarray(peclet_number, dtype=object)).tolist()}
-    if keys["times"] is not None:
-        keys["times"] = np.atleast_1d(np.asarray(keys["times"])).tolist()
-    try:
-        return RheologySection.read({key: v for key, v in keys.items() if v is not None})
-    except Problem as problem:
-        key = ".".join(str(part) for part in problem.key if part != "langevin")
-        raise SceneError(key, problem.wrong, problem.right) from None
+class Dilute:
+    """A dilute suspension of a body in a homogeneous flow: what `rheology` and `langevin` share.
+
+    keys: of section `rheology` of a case, which checks them, None for those that are left out.
+    numbers: Peclet numbers as they were given, () or (n,). Raises SceneError.
+    """
+
+    def __init__(
+        self, body: Body, flow: Flow, peclet_number: ArrayLike, position: ArrayLike, **keys: Any
+    ) -> None:
+        if not hasattr(body, "stokes_number"):
+            raise SceneError("body", f"is {body!r}", "a body such as qs.Body(0.2)")
+        keys |= {"peclet_number": np.atleast_1d(np.asarray(peclet_number, dtype=object)).tolist()}
+        if keys["times"] is not None:
+            keys["times"] = np.atleast_1d(np.asarray(keys["times"])).tolist()
+        try:
+            asked = RheologySection.read({key: v for key, v in keys.items() if v is not None})
+        except Problem as problem:
+            key = ".".join(str(part) for part in problem.key if part != "langevin")
+            raise SceneError(key, problem.wrong, problem.right) from None
+        self.body, self.flow = body, linear_flow(flow, position)
+        self.numbers: Array = np.reshape(asked.peclet_number, np.shape(peclet_number))
+        cycle, instants = None, asked.times
+        if asked.protocol == "oscillation":
+            by_amplitude = 1.0 / (asked.amplitude or 1.0)
+            cycle = asked.frequency / self.flow.rate if asked.frequency else by_amplitude
+        if instants is None and asked.protocol != "steady":
+            end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
+            instants = np.linspace(0.0, end, SAMPLES).tolist()
+        times = None if instants is None else np.array(instants)
+        self.history = History(asked.protocol, times, cycle)
+
+    @cached_property
+    def formed(self) -> tuple[Particle, float]:
+        """Its particles, and the relative error that is known of them."""
+        return particle_of(self.body)
+
+    @cached_property
+    def transport(self) -> Transport:
+        """The flow of the orientations."""
+        return Transport(self.flow, self.formed[0].linear)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What is told of it."""
+        particle = self.formed[0]
+        return {
+            "protocol": self.history.protocol,
+            "rate": self.flow.rate,
+            "viscosity_at_rest": particle.viscosity_at_rest,
+            "viscosity_of_isotropic": particle.viscosity_of_isotropic,
+            "frequency": self.history.cycle,
+            "stresslet_numbers": particle.stresslet.tolist(),
+        }
 
 
 def rheology(
@@ -140,9 +183,11 @@ def rheology(
     >>> np.round(found.intrinsic_viscosity, 6)
     array([5.806206, 5.748197, 3.108525])
     """
-    asked = asked_of(
+    dilute = Dilute(
         body,
+        flow,
         peclet_number,
+        position,
         protocol=protocol,
         times=times,
         amplitude=amplitude,
@@ -152,15 +197,11 @@ def rheology(
     )
     if tolerance < 1e-12:
         raise SceneError("tolerance", f"is {tolerance:g}", "from 1e-12 to 0.1")
-    numbers = np.reshape(asked.peclet_number, np.shape(peclet_number))
+    numbers, homogeneous, history = dilute.numbers, dilute.flow, dilute.history
     starts = starts_of(orientations, weights, numbers)
     if np.any(body.stokes_number) and (np.any(np.isfinite(numbers)) or protocol != "steady"):
         right = "0: inertial bodies take peclet_number: inf and protocol: steady"
         raise SceneError("stokes_number", f"is {np.max(body.stokes_number):g}", right)
-    homogeneous = linear_flow(flow, position)
-    particle, error = particle_of(body)
-    transport = Transport(homogeneous, particle.linear)
-    history = history_of(asked, homogeneous.rate)
     if np.any(body.stokes_number):
         means = inertial_means(body, flow, starts, homogeneous.rate, settling, tolerance)
         nothing = np.zeros((3, 3))
@@ -168,8 +209,7 @@ def rheology(
         found = [{**means, "error_estimate": np.array(means["error_estimate"])}] * numbers.size
     else:
         found = [
-            _one(transport, particle, float(peclet), history, starts, tolerance)
-            for peclet in np.atleast_1d(numbers)
+            _one(dilute, float(peclet), starts, tolerance) for peclet in np.atleast_1d(numbers)
         ]
     stacked = {
         name: np.stack([one[name] for one in found]).reshape(
@@ -178,7 +218,7 @@ def rheology(
         for name in found[0]
         if name not in ("distribution", "degree")
     }
-    stacked["error_estimate"] = stacked["error_estimate"] + error
+    stacked["error_estimate"] = stacked["error_estimate"] + dilute.formed[1]
     distributions = [one["distribution"] for one in found]
     stacked.setdefault("inertial_stress", np.zeros_like(stacked["hydrodynamic_stress"]))
     stress = sum(stacked[f"{name}_stress"] for name in ("hydrodynamic", "brownian", "inertial"))
@@ -190,15 +230,7 @@ def rheology(
         particle_stress=stress,
         **stacked,
         distribution=distributions if numbers.ndim else distributions[0],
-        summary={
-            "protocol": protocol,
-            "degree": [one["degree"] for one in found],
-            "rate": homogeneous.rate,
-            "viscosity_at_rest": particle.viscosity_at_rest,
-            "viscosity_of_isotropic": particle.viscosity_of_isotropic,
-            "frequency": history.cycle,
-            "stresslet_numbers": particle.stresslet.tolist(),
-        },
+        summary={**dilute.summary, "degree": [one["degree"] for one in found]},
     )
 
 
@@ -225,30 +257,11 @@ def starts_of(orientations: ArrayLike | str, weights: ArrayLike | None, numbers:
     return Starts(axes / lengths[:, None], share)
 
 
-def history_of(asked: RheologySection, rate: float) -> History:
-    """The history of a flow of this rate."""
-    cycle, instants = None, asked.times
-    if asked.protocol == "steady":
-        return History(asked.protocol)
-    if asked.protocol == "oscillation":
-        cycle = asked.frequency / rate if asked.frequency else 1.0 / (asked.amplitude or 1.0)
-    if instants is None:
-        end = _STRAIN if cycle is None else 2.0 * np.pi / cycle
-        return History(asked.protocol, np.linspace(0.0, end, SAMPLES), cycle)
-    return History(asked.protocol, np.array(instants), cycle)
-
-
-def _one(
-    transport: Transport,
-    particle: Particle,
-    peclet: float,
-    history: History,
-    starts: Starts,
-    tolerance: float,
-) -> dict[str, Any]:
+def _one(dilute: Dilute, peclet: float, starts: Starts, tolerance: float) -> dict[str, Any]:
     """Stresses, moments and distribution at one Peclet number."""
+    (particle, _), transport, history = dilute.formed, dilute.transport, dilute.history
     if np.isinf(peclet):
-        return _without_diffusion(transport, particle, history, starts, tolerance)
+        return _without_diffusion(dilute, starts, tolerance)
     diffusivity, rates = 1.0 / peclet, history.rates[..., None, None] * transport.flow.strain
 
     def computed(degree: int) -> tuple[dict[str, Any], Array]:
@@ -293,10 +306,9 @@ def _moments(
     return second, fourth, Distribution(basis, axes, states[:, -1])
 
 
-def _without_diffusion(
-    transport: Transport, particle: Particle, history: History, starts: Starts, tolerance: float
-) -> dict[str, Any]:
+def _without_diffusion(dilute: Dilute, starts: Starts, tolerance: float) -> dict[str, Any]:
     """The same without Brownian motion: where the axes are follows from the strain alone."""
+    (particle, _), transport, history = dilute.formed, dilute.transport, dilute.history
     matrix, instants, change = transport.matrix, history.instants, 0.0
     if instants is None or history.protocol == "cessation":
         (second, fourth), change, strains = orbits.long_time(matrix, starts, tolerance)
