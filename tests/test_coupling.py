@@ -176,7 +176,7 @@ def test_what_cannot_be_served_is_told() -> None:
         two.resistance([[0, 0, 3], [0, np.nan, 6]])
     with pytest.raises(SceneError, match="orientation has a zero vector"):
         two.resistance([[0, 0, 3], [0, 0, 6]], [[0, 0, 1], [0, 0, 0]])
-    with pytest.raises(SceneError, match="vectors that are not finite"):
+    with pytest.raises(SceneError, match="vectors is not finite"):
         two.free_motion(None, [[0, 0, 3], [0, 0, 6]], force=[np.inf, 0, 0])
 
 

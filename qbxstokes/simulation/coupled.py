@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.multiple_scattering import Placed, closest, gaps_of, names_of
 from qbxstokes.case.running import Events as EventSettings
@@ -18,14 +18,13 @@ from qbxstokes.simulation.arguments import accepted, section
 from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, places
 from qbxstokes.simulation.surroundings import Wall
 from qbxstokes.simulation.suspension import Suspension
+from qbxstokes.typing import Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.coupled_assembly import CoupledMotion, Together
     from qbxstokes.simulation.surroundings import Repulsion
     from qbxstokes.simulation.wall_table import OverWall
-
-Array = NDArray[np.float64]
 
 
 class CoupledSimulation(Simulation):

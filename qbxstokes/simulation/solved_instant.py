@@ -124,7 +124,7 @@ def probed_nodes(scene: Suspension, places: Sequence[Placed], wanted: Sequence[i
     while most <= _LAST:
         nodes = [min(n, most) for n in wanted]
         problem = scene.problem(places, nodes)
-        estimate = scene.solved_held(problem, motion).error_estimate["force"]
+        estimate = scene.solved_held(problem, [(motion, None)])[0].error_estimate["force"]
         alone = [one.resistance.max() * p.size for one, p in zip(problem.maps, places, strict=True)]
         error = estimate / max(alone)
         if error <= scene.tolerance:

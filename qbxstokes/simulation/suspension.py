@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qbxstokes.bie.arrivals import Workspace
 from qbxstokes.bie.multiple_scattering import Coupled, Placed
@@ -15,7 +15,8 @@ from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
 from qbxstokes.geometry.spheroid import Spheroid
-from qbxstokes.simulation.simulation import UPRIGHT, Simulation, places
+from qbxstokes.simulation.arguments import numbers
+from qbxstokes.simulation.simulation import ORIGIN, UPRIGHT, Simulation, places
 from qbxstokes.simulation.solved_instant import (
     MOST_NODES,
     Solution,
@@ -24,12 +25,12 @@ from qbxstokes.simulation.solved_instant import (
     probed_nodes,
 )
 from qbxstokes.simulation.surroundings import Wall
+from qbxstokes.typing import AnyArray, Array
 
 if TYPE_CHECKING:
     from qbxstokes.simulation.body import Body
     from qbxstokes.simulation.coupled_assembly import CoupledMotion
 
-Array = NDArray[np.float64]
 # Bodies above which the whole resistance is refused: six solves for each.
 MOST_RESISTANCE = 50
 # How much more closely harmonics are summed than the grids resolve, how much more closely than that
@@ -114,8 +115,8 @@ class Suspension:
             chosen = probed_nodes(self, places, chosen)
         if flow is None:
             return chosen
-        known = flow is self._known
         for b, place in enumerate(places):
+            known = flow is self._known
             needed = flow_nodes_on(b + 1, place, flow, t, self.tolerance, known)
             chosen[b] = max(chosen[b], needed)
         if flow.steady and flow.degree is not None:
@@ -167,7 +168,7 @@ class Suspension:
         if n > MOST_RESISTANCE:
             raise SceneError("bodies", f"are {n}", f"at most {MOST_RESISTANCE} for the resistance")
         columns = [unit.reshape(n, 6) for unit in np.eye(6 * n)]
-        found = self._held(problem, [(motion, None) for motion in columns])
+        found = self.solved_held(problem, [(motion, None) for motion in columns])
         return np.stack([np.hstack([f.force, f.torque]).ravel() for f in found], axis=1)
 
     def mobility(self, position: ArrayLike, orientation: ArrayLike | None = None) -> Array:
@@ -180,8 +181,8 @@ class Suspension:
         position: ArrayLike,
         orientation: ArrayLike | None = None,
         *,
-        velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        velocity: ArrayLike = ORIGIN,
+        angular_velocity: ArrayLike = ORIGIN,
         t: float = 0.0,
         nodes: Sequence[int] | None = None,
     ) -> Solution:
@@ -190,7 +191,7 @@ class Suspension:
         motion = np.hstack([self._each(velocity), self._each(angular_velocity)])
         places = self.placed(position, orientation)
         problem = self.problem(places, nodes or self.grids(places, flow, t))
-        return self._held(problem, [(motion, _velocity(flow, t))])[0]
+        return self.solved_held(problem, [(motion, _velocity(flow, t))])[0]
 
     def free(
         self,
@@ -262,7 +263,7 @@ class Suspension:
         *,
         what: Collection[str] = ("velocity", "pressure"),
         **loads: Any,
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, AnyArray]:
         """What is asked for at points (P, 3) of space, to contact and on the wall.
 
         what: as of `Body.field`. source (P,): -1 inside a body or behind the wall, where values
@@ -311,8 +312,7 @@ class Suspension:
         """
         from qbxstokes.motion.loads import Loads
 
-        make: Any = Simulation
-        scene = make(
+        scene = cast(Any, Simulation)(
             self.bodies,
             flow,
             self.wall,
@@ -324,8 +324,7 @@ class Suspension:
             resolution=self.tolerance,
             comm=self.comm,
         )
-        found: CoupledMotion = scene.integrate(times)
-        return found
+        return cast("CoupledMotion", scene.integrate(times))
 
     # -- solving ------------------------------------------------------------------------------
 
@@ -334,13 +333,9 @@ class Suspension:
 
         return CoupledSolver(problem, free, _SOLVER * problem.tolerance, self.comm)
 
-    def solved_held(self, problem: Coupled, motion: Array) -> Solution:
-        """Bodies of given motions (N, 6) in a fluid at rest."""
-        return self._held(problem, [(motion, None)])[0]
-
-    def _held(self, problem: Coupled, cases: list[tuple[Array, Any]]) -> list[Solution]:
-        solver = self._solver(problem, False)
-        found = []
+    def solved_held(self, problem: Coupled, cases: list[tuple[Array, Any]]) -> list[Solution]:
+        """Bodies of given motions (N, 6), each in a background (points -> velocity) or none."""
+        solver, found = self._solver(problem, False), []
         for motion, background in cases:
             data = problem.rigid_data(motion)
             if background is not None:
@@ -351,7 +346,7 @@ class Suspension:
             loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
-                return self._held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
+                return self.solved_held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
 
             (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
             found.append(Solution(problem, flows, v, omega, force, torque, solver.latest, x, again))
@@ -378,17 +373,15 @@ class Suspension:
             return self.freed(self.problem(problem.bodies, nodes, _LOOSER), loads, background)
 
         (v, omega), (force, torque) = np.hsplit(motion, 2), np.hsplit(loads, 2)
-        found = problem, flows, v, omega, force, torque, solver.latest, x, again
         speeds = [
             max(np.abs(one[:3]).max(), place.shape.radius * np.abs(one[3:]).max())
             for (one, _), place in zip(alone, problem.bodies, strict=True)
         ]
-        return Solution(*found, float(max(speeds)))
+        told = solver.latest, x, again, float(max(speeds))
+        return Solution(problem, flows, v, omega, force, torque, *told)
 
     def _each(self, vectors: ArrayLike | None) -> Array:
-        given = np.zeros(3) if vectors is None else np.asarray(vectors, dtype=np.float64)
-        if not np.all(np.isfinite(given)):
-            raise SceneError("bodies", "got vectors that are not finite", "finite numbers")
+        given = numbers("vectors", ORIGIN if vectors is None else vectors, "finite numbers")
         if given.shape not in ((3,), (1, 3), (len(self), 3)):
             right = f"shape {(len(self), 3)} or (3,)"
             raise SceneError("bodies", f"got vectors of shape {given.shape}", right)
