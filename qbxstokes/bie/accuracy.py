@@ -30,8 +30,8 @@ from qbxstokes.bie.operators import (
     modal_functional,
     surface_operators,
 )
-from qbxstokes.bie.resistance import Completion
 from qbxstokes.bie.resolution import POLYNOMIAL_NODES
+from qbxstokes.bie.rigid import Completion
 from qbxstokes.errors import CaseError, ConvergenceError
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution

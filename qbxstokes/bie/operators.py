@@ -9,14 +9,15 @@ import numpy as np
 
 from qbxstokes.bie.faxen import faxen_coefficients
 from qbxstokes.bie.functional import BodyModel, ModalFunctional, adjoint_weights, resistance
-from qbxstokes.bie.resistance import (
+from qbxstokes.bie.rigid import (
     Completion,
+    RigidMode,
     force_scale,
     point_completion,
     resistance_blocks,
+    rigid_modes,
     surface_completion,
 )
-from qbxstokes.bie.rigid import RigidMode, rigid_modes
 from qbxstokes.geometry.grid import SurfaceGrid
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.modes import ModalOperator, to_modes

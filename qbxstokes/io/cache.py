@@ -64,7 +64,7 @@ class Cache:
     ) -> dict[str, AnyArray] | None:
         """The arrays kept under this key, None if there are none or they are not to be used.
 
-        fault: says what is wrong with the arrays, '' where nothing is.
+        fault: says what is wrong with the arrays, '' where nothing is; it may fail on wrong ones.
         """
         if self.folder is None and self.entries is None:
             return None
@@ -83,6 +83,8 @@ class Cache:
             return None
         except (OSError, DamagedPart) as error:
             wrong = f"unreadable ({error})"
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            wrong = f"does not hold a {kind} ({' '.join(str(error).split())})"
         if wrong:
             self.problems.append(f"{path}: {wrong}; computed anew")
             return None

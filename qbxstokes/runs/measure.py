@@ -154,7 +154,7 @@ class Measurer:
             "wall_time": median(motions[1:] or motions),
             "setup_time": setup,
             "rejected": float(end.rejections),
-            "iterations": float(assembled.hydrodynamics[0].solves()["iterations"]),
+            "iterations": float(assembled.hydrodynamics[0].report()["iterations"]),
             "error": _error(loaded, lambda: compare_samples(assembled, times[:whole], alone)),
         }
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from qbxstokes.bie.resistance import Completion
+from qbxstokes.bie.rigid import Completion
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.schema import Case
 from qbxstokes.errors import ContactError

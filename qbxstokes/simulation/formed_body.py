@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.bie.accuracy import AccurateBody
 from qbxstokes.bie.functional import BodyModel
-from qbxstokes.bie.resistance import Completion
+from qbxstokes.bie.rigid import Completion
 from qbxstokes.case.running import Hydrodynamics
 from qbxstokes.errors import SceneError
 from qbxstokes.geometry.grid import SurfaceGrid

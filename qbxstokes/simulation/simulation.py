@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qbxstokes.bie.resistance import Completion
+from qbxstokes.bie.rigid import Completion
 from qbxstokes.case.document import written
 from qbxstokes.case.running import Brownian
 from qbxstokes.case.running import Events as EventSettings

@@ -68,15 +68,12 @@ def form_stresslet(body: FormedBody) -> Stresslet:
 
 def _fault(grid: SurfaceGrid, arrays: Mapping[str, Any]) -> str:
     """What is wrong with a stresslet that was kept: its functional and the closed forms agree."""
-    try:
-        kept = Stresslet.from_arrays(grid, arrays)
-        acting = kept.functional.numbers()
-        known = kept.numbers
-        if isinstance(grid.shape, Spheroid):
-            known = np.array(stresslet_numbers(grid.shape.aspect_ratio))
-        missed = float(np.abs(np.stack([acting, kept.numbers]) / known - 1.0).max())
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        return f"does not hold a stresslet ({' '.join(str(error).split())})"
+    kept = Stresslet.from_arrays(grid, arrays)
+    known = kept.numbers
+    if isinstance(grid.shape, Spheroid):
+        known = np.array(stresslet_numbers(grid.shape.aspect_ratio))
+    found = np.stack([kept.functional.numbers(), kept.numbers])
+    missed = float(np.abs(found / known - 1.0).max())
     good = missed <= max(30.0 * kept.error_estimate, 1e-8)
     return "" if good else "does not hold the stresslet of this body"
 
