@@ -70,7 +70,8 @@ class RigidBodyEquations(Pieces):
     rotation "both", or of one of them alone (St > 0); the other follows the flow.
     """
 
-    # Right-hand sides that take as long as a step of BDF, and whether its Jacobian is exact.
+    # Right-hand sides that take as long as a step of BDF, and whether its Jacobian is exact. In
+    # Python as in C: forecasts of which takes less time are within a factor of two.
     bdf_cost, exact_jacobian = 50.0, True
     # Error of a step below which differences of implicit formulas see the errors of the rates.
     noise = 0.0
