@@ -347,13 +347,14 @@ class Pieces:
         """`time_rate` (n,), in polynomial flows that change its mean until `horizon` later."""
         asked = t, y.tobytes(), horizon
         if self._mean_rate[0] != asked:
-            sizes = np.zeros((1, self.n_lanes))
+            rates = None
             with suppress(FlowError):  # told when the run comes to it
                 if self.changing is not None:
                     sizes = np.linalg.norm(self._gradients(y, t + horizon * _SHARES), axis=(-2, -1))
-            known = sizes > 0.0
-            rates = sizes if known.all() else np.where(known, sizes, self.time_rate(t, y))
-            rates = np.mean(rates, axis=0)
+                    known = sizes > 0.0
+                    whole = sizes if known.all() else np.where(known, sizes, self.time_rate(t, y))
+                    rates = np.mean(whole, axis=0)
+            rates = self.time_rate(t, y) if rates is None else rates
             self._mean_rate = asked, rates
         return self._mean_rate[1]
 

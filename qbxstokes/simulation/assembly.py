@@ -207,7 +207,9 @@ class Assembled:
         found = []
         whole = self.equations
         for part, formed, lanes in zip(self.parts, self.hydrodynamics, self.slices(), strict=True):
-            if part.flow.steady or whole.changing is None:
+            if part.flow.steady and part.flow.degree is not None:
+                rate = np.linalg.norm(part.gradient)
+            elif part.flow.steady or whole.changing is None:
                 instants = np.linspace(0.0, end, 1 if part.flow.steady else _INSTANTS_CHECKED)
                 rate = np.mean(np.linalg.norm(_gradients(part, instants), axis=(1, 2)))
             else:
