@@ -5,6 +5,7 @@ Hydrodynamics that are not a law with coefficients are asked for the motion itse
 
 import math
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -96,12 +97,15 @@ class ForceTorque(FreeMotion, Protocol):
 class LaneMotions:
     """Free motions of lanes of which each has a provider of its own.
 
-    Rows are whole blocks one after the other: row i is of lane i modulo the number of lanes.
+    Rows are whole blocks one after the other: row i is of lane i modulo the number of lanes. It
+    finds force and torque directly, too, where all providers do.
     """
 
     def __init__(self, providers: PerLane[Any], n_lanes: int) -> None:
         self._groups = list(providers.groups())
         self._n_lanes = n_lanes
+        if all(isinstance(entry, ForceTorque) for entry in providers.distinct):
+            self.force_torque = partial(self._asked, "force_torque")
 
     def free_motion(self, t: float, x: Array, q: Array) -> tuple[Array, Array]:
         """U and Omega, each (n, 3), at centres x (n, 3) and unit quaternions q (n, 4)."""
@@ -118,22 +122,9 @@ class LaneMotions:
         return first.reshape(-1, 3), second.reshape(-1, 3)
 
 
-class LaneForces(LaneMotions):
-    """The same of providers that find force and torque directly."""
-
-    def force_torque(
-        self, t: float, x: Array, q: Array, v: Array, omega: Array
-    ) -> tuple[Array, Array]:
-        """Hydrodynamic force and torque on the bodies, each (n, 3), in the space frame."""
-        return self._asked("force_torque", t, x, q, v, omega)
-
-
 def provider_of(providers: PerLane[FreeMotion], n_lanes: int) -> FreeMotion:
     """One provider for all lanes."""
-    if providers.shared:
-        return providers.only
-    forces = all(isinstance(entry, ForceTorque) for entry in providers.distinct)
-    return LaneForces(providers, n_lanes) if forces else LaneMotions(providers, n_lanes)
+    return providers.only if providers.shared else LaneMotions(providers, n_lanes)
 
 
 class Bodies:

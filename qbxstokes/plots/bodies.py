@@ -10,7 +10,7 @@ import numpy as np
 
 from qbxstokes.errors import ResultFileError
 from qbxstokes.plots import style
-from qbxstokes.plots.series import Panel, draw_lines, label_plane, plane_of_motion, stacked
+from qbxstokes.plots.series import label_plane, panel_of, plane_of_motion, stacked
 from qbxstokes.plots.source import ResultLike, instants, shapes_of, smooth, units, wall_of
 from qbxstokes.plots.style import Axes, Drawings, Figure
 from qbxstokes.quantities import MOTION
@@ -53,20 +53,16 @@ def series_figure(result: ResultLike, name: str) -> Figure:
         values = values - values[0]
     size = np.abs(values)
     values = np.where(size > _NOISE * np.nanmax(size, initial=0.0), values, 0.0)
-    about = MOTION[name]
-
-    def panel(component: int) -> Panel:
-        def draw(axes: Axes) -> None:
-            shown = values[:, :_MANY, component]
-            draw_lines(axes, times, [(f"body {b + 1}", shown[:, b]) for b in range(shown.shape[1])])
-            symbol = rf"\Delta {about.symbols[component]}" if name == "position" else None
-            style.set_ylabel(axes, f"${symbol or about.symbols[component]}$", units(result, name))
-            if component and (legend := axes.get_legend()) is not None:
-                legend.remove()
-
-        return draw
-
-    return stacked([panel(component) for component in range(3)])
+    shown, names = values[:, :_MANY], [f"body {b + 1}" for b in range(min(values.shape[1], _MANY))]
+    symbols = MOTION[name].symbols
+    if name == "position":
+        symbols = tuple(rf"\Delta {symbol}" for symbol in symbols)
+    panels = []
+    for component, symbol in enumerate(symbols):
+        told = [""] * len(names) if component else names
+        unit = units(result, name)
+        panels.append(panel_of(times, told, shown[..., component], f"${symbol}$", unit))
+    return stacked(panels)
 
 
 def _by_body(result: ResultLike, name: str) -> Array:

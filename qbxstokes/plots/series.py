@@ -54,67 +54,70 @@ def alike(sizes: Array) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
+def panel_of(
+    times: Array,
+    names: Sequence[str],
+    values: Array,
+    label: str,
+    unit: str = "",
+    limits: tuple[float, float] | None = None,
+) -> Panel:
+    """A panel of components (T, m) against time, by names, formulas or nothing."""
+
+    def draw(axes: Axes) -> None:
+        draw_lines(axes, times, list(zip(names, values.T, strict=True)))
+        if limits is not None:
+            axes.set_ylim(*limits)
+        style.set_ylabel(axes, label, unit)
+
+    return draw
+
+
+def formulas(symbols: Sequence[str]) -> list[str]:
+    """Symbols as matplotlib sets them."""
+    return [f"${symbol}$" for symbol in symbols]
+
+
 def draw_quantity(axes: Axes, result: ResultLike, name: str) -> None:
     """All components of a quantity in one panel, as the file holds them."""
     times, about = instants(result), RECORDABLE[name]
     values = np.asarray(result.arrays[name]).reshape(len(times), -1)
-    symbols = about.symbols or (about.symbol,)
-    draw_lines(axes, times, [(f"${symbols[i]}$", values[:, i]) for i in range(values.shape[1])])
-    style.set_ylabel(axes, about.heading, units(result, name))
+    names = formulas(about.symbols or (about.symbol,))
+    panel_of(times, names, values, about.heading, units(result, name))(axes)
 
 
 def vector_panels(result: ResultLike, name: str) -> list[Panel]:
-    """Panels of a vector's components; of the position, the displacement since the start."""
-    times = instants(result)
-    values = samples(result, name, 3)
+    """Panels of a vector's components; of the position, the displacement since the start.
+
+    One of the axis, and of the Euler angles in half turns, continuous in time.
+    """
+    times, values = instants(result), samples(result, name, 3)
     symbol, parts = RECORDABLE[name].symbol, RECORDABLE[name].symbols
+    if name == "axis":
+        return [panel_of(times, formulas(parts), values, f"axis ${symbol}$", limits=(-1.08, 1.08))]
+    if name == "euler_angles":
+        turns = np.unwrap(values, axis=0) / np.pi
+        return [panel_of(times, formulas(parts), turns, r"Euler angles$\,/\,\pi$")]
     if name == "position":
         values = values - values[0]
         symbol, parts = rf"\Delta {symbol}", tuple(rf"\Delta {part}" for part in parts)
     groups = alike(np.nanmax(np.abs(np.where(np.isfinite(values), values, np.nan)), axis=0))
-
-    def panel(group: list[int]) -> Panel:
-        def draw(axes: Axes) -> None:
-            draw_lines(axes, times, [(f"${parts[i]}$", values[:, i]) for i in group])
-            shown = parts[group[0]] if len(group) == 1 else symbol
-            style.set_ylabel(axes, f"${shown}$", units(result, name))
-
-        return draw
-
-    return [panel(group) for group in sorted(groups)]
-
-
-def _three(result: ResultLike, name: str) -> list[Panel]:
-    """One panel of the axis, or of the Euler angles in half turns, continuous in time."""
-    times, values = instants(result), samples(result, name, 3)
-    if name == "euler_angles":
-        values = np.unwrap(values, axis=0) / np.pi
-    symbol, parts = RECORDABLE[name].symbol, RECORDABLE[name].symbols
-
-    def draw(axes: Axes) -> None:
-        draw_lines(axes, times, [(f"${parts[i]}$", values[:, i]) for i in range(3)])
-        if name == "euler_angles":
-            axes.set_ylabel(r"Euler angles$\,/\,\pi$")
-        else:
-            axes.set_ylabel(f"axis ${symbol}$")
-            axes.set_ylim(-1.08, 1.08)
-
-    return [draw]
+    found = []
+    for group in sorted(groups):
+        shown = [parts[i] for i in group]
+        label = f"${shown[0] if len(group) == 1 else symbol}$"
+        found.append(panel_of(times, formulas(shown), values[:, group], label, units(result, name)))
+    return found
 
 
 def stress_panels(result: ResultLike, name: str) -> list[Panel]:
     """Panels of a symmetric tensor's normal and of its other components."""
     times, values, about = instants(result), samples(result, name, 6), RECORDABLE[name]
-
-    def panel(part: slice) -> Panel:
-        def draw(axes: Axes) -> None:
-            curves = zip(about.symbols[part], values[:, part].T, strict=True)
-            draw_lines(axes, times, [(f"${symbol}$", component) for symbol, component in curves])
-            style.set_ylabel(axes, about.heading, units(result, name))
-
-        return draw
-
-    return [panel(slice(0, 3)), panel(slice(3, 6))]
+    names, unit = formulas(about.symbols), units(result, name)
+    return [
+        panel_of(times, names[part], values[:, part], about.heading, unit)
+        for part in (slice(0, 3), slice(3, 6))
+    ]
 
 
 def constant_panels(result: ResultLike) -> list[Panel]:
@@ -128,14 +131,10 @@ def constant_panels(result: ResultLike) -> list[Panel]:
     finite = np.isfinite(constant)
     bounded = np.where(finite, constant / (1.0 + np.where(finite, constant, 0.0)), 1.0)
 
-    def draw(axes: Axes) -> None:
-        draw_lines(axes, times, [("$C/(1+C)$", bounded)])
-        axes.set_ylabel("orbit $C/(1+C)$")
-        axes.set_ylim(-0.04, 1.04)
-
+    orbit = panel_of(times, [""], bounded[:, None], "orbit $C/(1+C)$", limits=(-0.04, 1.04))
     usable = finite & (constant > 0.0)
     if not _POLE < constant[0] < 1.0 / _POLE or usable.sum() < 2:
-        return [draw]
+        return [orbit]
     drift = np.full_like(constant, np.nan)
     drift[usable] = np.log(constant[usable] / constant[0])
 
@@ -150,7 +149,7 @@ def constant_panels(result: ResultLike) -> list[Panel]:
         axes.set_yscale("log")
         axes.set_ylabel("drift $|C/C_0-1|$")
 
-    return [draw, draw_drift]
+    return [orbit, draw_drift]
 
 
 def moves(result: ResultLike) -> bool:
@@ -182,8 +181,7 @@ def panels(result: ResultLike, names: Sequence[str]) -> list[Panel]:
             elif RECORDABLE[name].shape != (3,):
                 found.append(partial(draw_quantity, result=result, name=name))
             else:
-                draw = _three if name in ("axis", "euler_angles") else vector_panels
-                found += draw(result, name)
+                found += vector_panels(result, name)
     return found
 
 
