@@ -20,8 +20,8 @@ from qbxstokes.motion.averages import ShearFrame
 from qbxstokes.motion.contacts import Contacts, Moment, intervals, root
 from qbxstokes.motion.diagnostics import orbit_constant
 from qbxstokes.motion.equations import RigidBodyEquations
-from qbxstokes.motion.frames import symmetry_axis
 from qbxstokes.motion.layout import ORIENTATION, POSITION, VELOCITY, Step
+from qbxstokes.motion.taylor import symmetry_axis
 from qbxstokes.typing import Array
 
 Row = Sequence[float]

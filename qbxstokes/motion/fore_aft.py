@@ -15,12 +15,6 @@ from typing import Any
 import numpy as np
 
 from qbxstokes.bie.functional import BodyModel
-from qbxstokes.motion.frames import (
-    body_axes,
-    quaternion_rate_body,
-    quaternion_rate_space,
-    symmetry_axis,
-)
 from qbxstokes.motion.taylor import (
     Matrix,
     Scalar,
@@ -28,6 +22,7 @@ from qbxstokes.motion.taylor import (
     Vector,
     add,
     add_third,
+    body_axes,
     contract,
     contract_third,
     curl,
@@ -36,6 +31,9 @@ from qbxstokes.motion.taylor import (
     laplacian_gradient,
     linear_velocity,
     product,
+    quaternion_rate_body,
+    quaternion_rate_space,
+    symmetry_axis,
     transposed,
     velocity_and_gradient,
 )

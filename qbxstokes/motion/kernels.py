@@ -1,6 +1,6 @@
 """The equations of motion, once, as scalar arithmetic.
 
-Every function of `taylor`, `frames` and the modules that `KERNELS` lists takes and returns plain
+Every function of `taylor` and the modules that `KERNELS` lists takes and returns plain
 numbers and uses +, -, *, / alone. The same source therefore runs in many ways: on Python floats, on
 NumPy rows (one entry per lane), recorded and written out for the constants of a scene (tracing.py:
 one body, nothing to load), compiled by numba over a block (loops.py, compiled.py), and on complex

@@ -18,7 +18,7 @@ from qbxstokes.errors import FlowError
 from qbxstokes.flows.changing import ChangingFlow
 from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.geometry import rotation
-from qbxstokes.motion import frames
+from qbxstokes.motion import taylor
 from qbxstokes.motion.flow_rows import FlowRows
 from qbxstokes.motion.lanes import Bodies, ForceTorque, FreeMotion, PerLane, provider_of
 from qbxstokes.motion.layout import (
@@ -208,7 +208,7 @@ class Pieces:
         zero = np.zeros((3, self.n_lanes))
         return self.bodies.kernels.driven_motion(
             tuple(self._rows(np.concatenate([v, omega], axis=1).T)),
-            frames.body_axes(rows[ORIENTATION]),
+            taylor.body_axes(rows[ORIENTATION]),
             self.bodies.mobility,
             self._rows(np.concatenate([force.T, zero, torque.T, zero])),
         )
@@ -219,13 +219,13 @@ class Pieces:
         motion = self._free(t, rows)
         if self._loads is None:
             return motion
-        axes, bodies = frames.body_axes(rows[ORIENTATION]), self.bodies
+        axes, bodies = taylor.body_axes(rows[ORIENTATION]), self.bodies
         loads = self._rows(self._loads.at(t))
         return bodies.kernels.driven_motion(motion, axes, bodies.mobility, loads)
 
     def _rate(self, t: float, rows: Any, motion: Any) -> Any:
         """dy/dt from the motion that drag pulls to, with loads and constraints."""
-        axes, bodies = frames.body_axes(rows[ORIENTATION]), self.bodies
+        axes, bodies = taylor.body_axes(rows[ORIENTATION]), self.bodies
         if self._loads is not None:
             loads = self._rows(self._loads.at(t))
             motion = bodies.kernels.driven_motion(motion, axes, bodies.mobility, loads)
@@ -235,7 +235,7 @@ class Pieces:
         if self.massless:
             turn = omega if omega is not None else motion[ROTATION]
             move = v if v is not None else motion[TRANSLATION]
-            return (*move, *frames.quaternion_rate_space(rows[ORIENTATION], turn))
+            return (*move, *taylor.quaternion_rate_space(rows[ORIENTATION], turn))
         if self._follow is not None:
             moves, turns = self._follow
             v = tuple(motion[TRANSLATION]) if moves and v is None else v
@@ -246,9 +246,9 @@ class Pieces:
         return (
             *(rows[VELOCITY] if v is None else v),
             *(
-                frames.quaternion_rate_body(rows[ORIENTATION], rows[SPIN])
+                taylor.quaternion_rate_body(rows[ORIENTATION], rows[SPIN])
                 if omega is None
-                else frames.quaternion_rate_space(rows[ORIENTATION], omega)
+                else taylor.quaternion_rate_space(rows[ORIENTATION], omega)
             ),
             *(pull[TRANSLATION] if v is None else still),
             *(pull[ROTATION] if omega is None else still),

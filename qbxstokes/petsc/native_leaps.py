@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, types
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.motion import frames
+from qbxstokes.motion import taylor
 from qbxstokes.motion.events import LARGEST_TURN, STILL
 from qbxstokes.petsc.native import known_to_numba, library, pointer
 
@@ -24,7 +24,7 @@ _get_time, _get_step, _get_reason, _get_state, _restore_state = (
 )
 _step = types.ExternalFunction("TSStep", types.int32(types.intp))
 _set_step = types.ExternalFunction("TSSetTimeStep", types.int32(types.intp, types.float64))
-_axis = numba.njit(error_model="numpy")(frames.symmetry_axis)
+_axis = numba.njit(error_model="numpy")(taylor.symmetry_axis)
 
 
 @numba.njit(error_model="numpy")
