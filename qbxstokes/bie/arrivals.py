@@ -72,30 +72,34 @@ class Arrivals:
 
     def _lay(self) -> None:
         """List the blocks, with the degrees of their harmonics."""
-        problem, blocks, rows = self._problem, [], [np.zeros(0, dtype=np.int64)]
-        of: list[tuple[int, int]] = []
-        table = point = 0
+        problem, points = self._problem, [np.zeros(0, dtype=np.int64)]
+        rows = {b: np.arange(here.start, here.stop) for b, here in problem.slices.items()}
+        # Of each whether mirrored, its source and target, degree, columns and number of points.
+        blocks: list[tuple[int, ...]] = []
         for mirrored in range(len(self._places)):
-            degrees = self._highest(bool(mirrored))
+            degrees = self._highest(bool(mirrored)).tolist()
             for c, one in enumerate(problem.maps):
-                for i, (b, here) in enumerate(problem.slices.items()):
+                columns = one.harmonics.columns
+                for (b, here), degree in zip(rows.items(), degrees[c], strict=True):
                     if b == c and not mirrored:
                         continue
-                    for part, degree in self._parts(c, b, bool(mirrored), int(degrees[c, i])):
-                        columns = one.harmonics.columns(degree)
-                        size = (10 if mirrored else 4) * len(part) * columns
-                        kept = table + size <= KEPT_NUMBERS
-                        where = self._flows[c], self._widths[c], columns, degree
-                        begin = (table if kept else -1), point, len(part)
-                        blocks.append((mirrored, len(of), *where, *begin))
-                        rows.append(part + here.start)
-                        of.append((c, b))
-                        table += size if kept else 0
-                        point += len(part)
-        self._blocks = np.array(blocks, dtype=np.int64).reshape(-1, 9)
-        self.of = np.array(of, dtype=np.int64).reshape(-1, 2).T
-        self._at = np.concatenate(rows)
-        self._points, self._size = np.empty((point, 3)), table
+                    parts = [(here, degree)]
+                    if len(problem.points[b]) > _TOGETHER:
+                        parts = self._parts(c, b, bool(mirrored))
+                    for part, degree in parts:
+                        points.append(part)
+                        blocks.append((mirrored, c, b, degree, columns(degree), len(part)))
+        found = np.array(blocks, dtype=np.int64).reshape(-1, 6).T
+        mirrored, *of, degree, columns, count = found
+        self.of, self._at = np.stack(of), np.concatenate(points)
+        size = np.where(mirrored, 10, 4) * count * columns
+        kept = np.cumsum(size) <= KEPT_NUMBERS
+        self._size = int(size[kept].sum())
+        begins = np.where(kept, np.cumsum(size) - size, -1), np.cumsum(count) - count, count
+        flow = np.array([self._flows[:-1], self._widths])[:, self.of[0]]
+        numbers = mirrored, np.arange(len(count)), *flow, columns, degree, *begins
+        self._blocks = np.stack(numbers, axis=1)
+        self._points = np.empty((len(self._at), 3))
         turns = np.stack([body.rotation for body in problem.bodies])
         source, target = turns[self.of]
         self._turns = np.swapaxes(target, 1, 2) @ source
@@ -120,18 +124,16 @@ class Arrivals:
             highest_degrees(points, ends, *about, found[c])
         return found
 
-    def _parts(self, c: int, b: int, mirrored: bool, highest: int) -> list[tuple[Integers, int]]:
+    def _parts(self, c: int, b: int, mirrored: bool) -> list[tuple[Integers, int]]:
         """Parts of what is held of body b, with the degree of body c's harmonics there.
 
         In parts of the grid that are the same whoever holds them.
         """
         problem, held, points = self._problem, self._problem.held[b], self._problem.points[b]
-        if len(points) <= _TOGETHER:
-            return [(np.arange(len(held)), highest)] if len(held) else []
         degrees, _ = problem.degrees(c, points, mirrored, _CLOSER)
         order = np.argsort(-degrees, kind="stable")
         place = np.full(len(points), -1)
-        place[held] = np.arange(len(held))
+        place[held] = np.arange(len(held)) + problem.slices[b].start
         found = []
         for part in np.array_split(order, 8 * len(points) // _TOGETHER):
             here = place[part]

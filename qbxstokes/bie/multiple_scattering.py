@@ -37,7 +37,7 @@ from itertools import pairwise
 import numpy as np
 
 from qbxstokes.bie.arrivals import MIRRORED, Arrivals, Workspace
-from qbxstokes.bie.scatterer import Scatterer, scatterer
+from qbxstokes.bie.scatterer import LOW, Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
 from qbxstokes.qbx.exterior import ExteriorFlow
@@ -258,7 +258,9 @@ class Coupled:
     def flow(self, b: int, v: Array, free: bool) -> Array:
         """Exterior flow of body b, packed: E v, or M v of a free one; a part as in `alone`."""
         c, motion = self.alone(b, v)
-        return c - self.maps[b].moving(motion) if free else c
+        if free:
+            c[:, :LOW] -= self.maps[b].moving(motion)
+        return c
 
     # -- what arrives -------------------------------------------------------------------------
 
@@ -298,18 +300,19 @@ class Coupled:
         """
         total = np.zeros((self.size // 3, 3))
         self.arrivals.send(flows)
-        self.arrivals.add(self.arrivals.pairs(np.isin(self.arrivals.of[0], list(flows))), total)
+        sent = self.arrivals.pairs(np.isin(self.arrivals.of[0], list(flows)))
+        self.arrivals.add(sent, total, max(flow.shape[1] for flow in flows.values()))
         return total
 
     # -- data and results ---------------------------------------------------------------------
 
     def background(self, velocity: Callable[[Array], Array]) -> Array:
         """A flow of space (P, 3) on all that is held, in the bodies' frames."""
-        parts = [
-            velocity(self.points[b][held]) @ self.bodies[b].rotation
-            for b, held in self.held.items()
-        ]
-        return np.concatenate([np.zeros((0, 3)), *parts])
+        points = [self.points[b][held] for b, held in self.held.items()]
+        found = np.array(velocity(np.concatenate([np.zeros((0, 3)), *points])))
+        for b, rows in self.slices.items():
+            found[rows] = found[rows] @ self.bodies[b].rotation
+        return found
 
     def to_body(self, b: int, motion: Array, forces: bool = False) -> Array:
         """Velocities (6,) of space, or force and torque, in the frame and units of body b's map."""
@@ -347,7 +350,7 @@ class Coupled:
         return np.asarray(body.rotation @ d @ body.rotation.T)
 
     def loaded(self, b: int, load: Array) -> tuple[Array, Array]:
-        """Motion alone (6,), map's units, of body b under a load (6,) of space; its packed flow."""
+        """Motion alone (6,), map's units, of body b under a load (6,) of space; its `moving`."""
         motion = self.to_body(b, load, forces=True) / self.maps[b].resistance
         return motion, self.maps[b].moving(motion)
 

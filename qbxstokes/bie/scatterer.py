@@ -19,7 +19,7 @@ from qbxstokes.qbx.exterior import SurfaceToExterior
 from qbxstokes.typing import Array, Integers
 
 # Numbers of degrees 0 and 1, which hold force and torque; polar nodes of a fine grid.
-_LOW, _FINE = 6, 24
+LOW, _FINE = 6, 24
 
 
 class Scatterer(SurfaceToExterior):
@@ -41,18 +41,17 @@ class Scatterer(SurfaceToExterior):
 
     @cached_property
     def rigid_flows(self) -> Array:
-        """Packed flows (6, ...) of the rigid motions."""
-        return np.stack([self.packed(v, self.inverse) for v in self.rigid])
+        """Packed flows (6, 4, LOW) of the rigid motions: they have no more than degrees 0 and 1."""
+        return np.stack([self.packed(v, self.inverse)[:, :LOW] for v in self.rigid])
 
     def loads(self, flow: Array) -> Array:
         """Force and torque (6,) on the fluid of a packed flow, body frame."""
-        return self._loads @ flow[:, :_LOW].ravel()
+        return self._loads @ flow[:, :LOW].ravel()
 
     @cached_property
     def _loads(self) -> Array:
-        """Force and torque (6, 4 * _LOW) of the lowest coefficients, packed."""
-        units = np.zeros((4 * _LOW, 4, self.rigid_flows.shape[2]))
-        units[:, :, :_LOW] = np.eye(4 * _LOW).reshape(-1, 4, _LOW)
+        """Force and torque (6, 4 * LOW) of the lowest coefficients, packed."""
+        units = np.eye(4 * LOW).reshape(-1, 4, LOW)
         return np.stack([self.harmonics.force_torque(unit) for unit in units], axis=1)
 
     @cached_property
@@ -86,8 +85,8 @@ class Scatterer(SurfaceToExterior):
         return np.stack(found), np.ascontiguousarray(np.stack(flows))
 
     def moving(self, motion: Array) -> Array:
-        """Packed flow of the body moving alone (6,)."""
-        return (motion @ self.rigid_flows.reshape(6, -1)).reshape(self.shape_of_flows)
+        """Packed flow (4, LOW) of the body moving alone (6,)."""
+        return (motion @ self.rigid_flows.reshape(6, -1)).reshape(4, LOW)
 
 
 @lru_cache(maxsize=64)

@@ -46,8 +46,7 @@ class CoupledSolver:
         self.problem, self.free = problem, free
         self.comm = PETSc.COMM_SELF if comm is None else comm
         self._mpi = self.comm.tompi4py() if self.comm.getSize() > 1 else None
-        if self._mpi is not None:
-            finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
+        self._together()
         self.latest: tuple[int, float] = 0, 0.0  # iterations, and residual relative to the data
         size = (problem.size, PETSc.DETERMINE)
         self._matrix = PETSc.Mat().createPython([size, size], self, comm=self.comm)
@@ -66,6 +65,11 @@ class CoupledSolver:
         with temporary_options("", {}, {}):
             ksp.setFromOptions()
         self._solution, self._rhs = self._matrix.createVecs()
+
+    def _together(self) -> None:
+        """Wait for the other ranks, before PETSc's sums over them, which wait awake."""
+        if self._mpi is not None:
+            finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
 
     def gathered(self, own: Mapping[int, Array], bodies: Sequence[int], shape: Any) -> Any:
         """Begin to sum arrays of some bodies over the ranks; returns what waits for them, by body.
@@ -143,8 +147,7 @@ class CoupledSolver:
         back = np.zeros((problem.size // 3, 3))
         self.swept(unknowns, back)
         y.setArray(unknowns + problem.joined(back))
-        if self._mpi is not None:  # PETSc's own sums over the ranks, next, wait awake
-            finish_asleep(self._mpi.Ibarrier(), PAUSE, AWAKE)
+        self._together()
 
     def solve(self, data: Array, guess: Array | None = None) -> Array:
         """Unknowns held here, for `swept`, from data (P, 3) on all that is held.
@@ -153,6 +156,7 @@ class CoupledSolver:
         """
         ksp: Any = self._ksp
         self._rhs.setArray(self.problem.joined(data))
+        self._together()
         size = self._rhs.norm()
         if size == 0.0:
             self.latest = 0, 0.0

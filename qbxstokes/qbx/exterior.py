@@ -146,7 +146,7 @@ class SurfaceToExterior:
         # The highest mode of an even grid stands for two and is left out.
         return (self.grid.n_phi + 1) // 2
 
-    @property
+    @cached_property
     def shape_of_flows(self) -> tuple[int, int]:
         """Shape of the packed coefficients of a flow."""
         return 4, 2 * len(triangle(self.harmonics.orders, self.harmonics.degree)[0])

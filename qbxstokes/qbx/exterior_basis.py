@@ -77,10 +77,16 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
 
 
 @njit(cache=compiled_are_kept())
-def degree_at(x, y, z, k, tolerance, most):  # type: ignore[no-untyped-def]
-    """Degree beyond which harmonics are below tolerance at a point: 3 to most."""
+def reach(x, y, z, k):  # type: ignore[no-untyped-def]
+    """Sum of the semi-axes of the confocal spheroid through a point: E_n falls as its power -n."""
     alpha2, gamma, _ = confocal(x * x + y * y, z, (1.0 - k) * (1.0 + k))
-    decay = min((k + 1.0) / (math.sqrt(max(alpha2, 0.0)) + gamma), 1.0 - 1e-9)
+    return math.sqrt(max(alpha2, 0.0)) + gamma
+
+
+@njit(cache=compiled_are_kept())
+def degree_at(out, k, tolerance, most):  # type: ignore[no-untyped-def]
+    """Degree, 3 to most, beyond which harmonics are below tolerance at a point of a reach."""
+    decay = min((k + 1.0) / out, 1.0 - 1e-9)
     wanted = math.ceil(math.log(tolerance) / math.log(decay)) + 2.0
     return int(min(max(wanted, 3.0), most))
 
@@ -89,7 +95,8 @@ def degree_at(x, y, z, k, tolerance, most):  # type: ignore[no-untyped-def]
 def degrees_for(points, k, tolerance, most, degrees):  # type: ignore[no-untyped-def]
     """Fill degrees (P,) at points (P, 3), see `degree_at`."""
     for i in range(points.shape[0]):
-        degrees[i] = degree_at(points[i, 0], points[i, 1], points[i, 2], k, tolerance, most)
+        out = reach(points[i, 0], points[i, 1], points[i, 2], k)
+        degrees[i] = degree_at(out, k, tolerance, most)
 
 
 @njit(cache=compiled_are_kept())
@@ -108,11 +115,11 @@ def highest_degrees(points, ends, centre, turn, size, k, tolerance, most, highes
     """
     own = np.empty(3)
     for b in range(highest.shape[0]):
-        found = 3
+        least = np.inf
         for i in range(ends[b], ends[b + 1]):
             to_frame(points[i], centre, turn, size, own)
-            found = max(found, degree_at(own[0], own[1], own[2], k, tolerance, most))
-        highest[b] = found
+            least = min(least, reach(own[0], own[1], own[2], k))
+        highest[b] = degree_at(least, k, tolerance, most)
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)

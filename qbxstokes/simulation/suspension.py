@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from qbxstokes.bie.arrivals import Workspace
 from qbxstokes.bie.multiple_scattering import Coupled, Placed
+from qbxstokes.bie.scatterer import LOW
 from qbxstokes.errors import SceneError
 from qbxstokes.flows import Flow
 from qbxstokes.geometry import rotation
@@ -366,7 +367,9 @@ class Suspension:
         parts = {b: problem.alone(b, own[rows])[1] for b, rows in problem.slices.items()}
         less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
         motion = np.stack([problem.to_space(b, alone[b][0] - less[b]) for b in driven])
-        flows = [driven[b] + sent[b] for b in driven]
+        flows = [sent[b] for b in driven]
+        for b, flow in driven.items():
+            flows[b][:, :LOW] += flow
         solver.release()
 
         def again(nodes: list[int]) -> Solution:
