@@ -3,8 +3,11 @@
 This module imports numba, and is itself imported where compiled kernels serve.
 """
 
+import hashlib
+import inspect
 import math
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -12,7 +15,7 @@ import numpy as np
 from numba import carray, types
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.motion import taylor
+from qbxstokes.motion import events, taylor
 from qbxstokes.motion.events import LARGEST_TURN, STILL
 from qbxstokes.petsc.native import known_to_numba, library, pointer
 
@@ -92,4 +95,7 @@ def compiled_leap() -> Any:
     petsc = library()
     for name in (*_NAMES, "VecRestoreArrayRead", "TSStep", "TSSetTimeStep"):
         known_to_numba(petsc, name)
+    # numba's cache watches this file alone: the name tells what else is compiled in.
+    read = b"".join(Path(inspect.getfile(m)).read_bytes() for m in (events, taylor))
+    _leap.__qualname__ = f"_leap_{hashlib.blake2b(read, digest_size=6).hexdigest()}"
     return numba.njit(cache=compiled_are_kept(), error_model="numpy")(_leap)
