@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
-from qbxstokes.qbx.exterior_kernel import all_ratios, bends, confocal, second_derivatives, slopes
+from qbxstokes.qbx.exterior_kernel import confocal, second_derivatives
+from qbxstokes.qbx.exterior_sums import HARMONIC, LANES, OWN, PLACE, fill, pair, six
 
 
 @njit(inline="always")
@@ -27,53 +28,50 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
     from the harmonic start[n] on, so that Re(sum c E) is the product with the real and imaginary
     parts of c, interleaved.
     """
-    inverse_ratio, rise, fall, diagonal = recurrence
-    e2 = (1.0 - k) * (1.0 + k)
-    ratio, nothing = np.zeros((orders, degree + 2)), complex(0.0, 0.0)
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        rho2 = x * x + y * y
-        alpha2, gamma, delta = confocal(rho2, z, e2)
-        alpha, eta, sine2, inv = math.sqrt(alpha2), z / gamma, rho2 / alpha2, 1.0 / delta
-        all_ratios(orders, degree, gamma, alpha, e2, ratio)
-        g, h = slopes(x, y, eta, alpha2, gamma, sine2, inv)
-        gg, hh = bends(x, y, eta, alpha2, gamma, sine2, inv, e2, g, h)
-        zk, w, w1, w2 = complex(x, y) / k, complex(1.0, 0.0), nothing, nothing
-        first = 1.0
-        for m in range(orders):
-            q = first
-            p, pd, pdd = diagonal[m], 0.0, 0.0
-            p_last, pd_last, pdd_last = 0.0, 0.0, 0.0
-            for n in range(m, degree + 1):
-                column, before = 2 * (start[n] + m), q * inverse_ratio[m, n]
-                q = before * ratio[m, n]
-                qg = ((n - m) * gamma * q - max(n + m, 1) * before) / alpha2
-                f, fg, fh = q * p, qg * p, q * pd
-                l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
-                put(table, 0, i, column, w * f)
-                put(table, 1, i, column, w * l[0] + w1 * f)
-                put(table, 2, i, column, w * l[1] + w1 * 1j * f)
-                put(table, 3, i, column, w * l[2])
-                if second:
-                    qgg = (-2.0 * (m + 1) * gamma * qg + (n - m) * (n + m + 1) * q) / alpha2
-                    fgg, fgh, fhh = qgg * p, qg * pd, q * pdd
-                    xx, yy, zz, xy, xz, yz = second_derivatives(
-                        w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
-                    )
-                    put(table, 4, i, column, xx)
-                    put(table, 5, i, column, yy)
-                    put(table, 6, i, column, zz)
-                    put(table, 7, i, column, xy)
-                    put(table, 8, i, column, xz)
-                    put(table, 9, i, column, yz)
-                up, down = rise[m, n], fall[m, n]
-                p, p_last, pd, pd_last, pdd, pdd_last = (
-                    *(up * eta * p - down * p_last, p),
-                    *(up * (eta * pd + p) - down * pd_last, pd),
-                    *(up * (eta * pdd + 2.0 * pd) - down * pdd_last, pdd),
-                )
-            w, w1, w2 = w * zk, (m + 1) / k * w, (m + 1) / k * w1
-            first *= k * k / alpha2
+    count, each = points.shape[0], HARMONIC[second] * LANES
+    place, made = np.empty(PLACE[1] * LANES), np.empty((degree + 1) * orders * each)
+    q, own = np.empty((degree + 3, LANES)), np.empty(OWN * LANES)
+    power, first = np.zeros(orders + 2, dtype=np.complex128), np.zeros(orders, dtype=np.int64)
+    for m in range(orders):
+        first[m] = (m * (degree + 1) - m * (m - 1) // 2 - m) * each
+    for group in range(0, count, LANES):
+        few = min(LANES, count - group)
+        for i in range(LANES):
+            point = points[group + min(i, few - 1)]
+            place[i], place[LANES + i], place[2 * LANES + i] = point[0], point[1], point[2]
+        fill(k, degree, orders, recurrence, second, place, made, q, own)
+        for i in range(few):
+            at, of = group + i, made[i:]
+            g = place[3 * LANES + i], place[4 * LANES + i], place[5 * LANES + i]
+            h = place[6 * LANES + i], place[7 * LANES + i], place[8 * LANES + i]
+            gg, hh = six(place, 11, i), six(place, 17, i)
+            w = complex(1.0, 0.0)
+            for m in range(orders):
+                power[m + 2] = w
+                w *= pair(place, 9, i)
+            for n in range(degree + 1):
+                for m in range(min(orders, n + 1)):
+                    begin, column = first[m] + n * each, 2 * (start[n] + m)
+                    f, fg, fh = of[begin], of[begin + LANES], of[begin + 2 * LANES]
+                    w, w1 = power[m + 2], m / k * power[m + 1]
+                    l = fg * g[0] + fh * h[0], fg * g[1] + fh * h[1], fg * g[2] + fh * h[2]
+                    put(table, 0, at, column, w * f)
+                    put(table, 1, at, column, w * l[0] + w1 * f)
+                    put(table, 2, at, column, w * l[1] + w1 * 1j * f)
+                    put(table, 3, at, column, w * l[2])
+                    if second:
+                        w2 = m * (m - 1) / (k * k) * power[m]
+                        fgg, fgh = of[begin + 3 * LANES], of[begin + 4 * LANES]
+                        fhh = of[begin + 5 * LANES]
+                        xx, yy, zz, xy, xz, yz = second_derivatives(
+                            w, w1, w2, f, l, fg, fh, fgg, fgh, fhh, g, h, gg, hh
+                        )
+                        put(table, 4, at, column, xx)
+                        put(table, 5, at, column, yy)
+                        put(table, 6, at, column, zz)
+                        put(table, 7, at, column, xy)
+                        put(table, 8, at, column, xz)
+                        put(table, 9, at, column, yz)
 
 
 @njit(cache=compiled_are_kept())
@@ -122,7 +120,7 @@ def highest_degrees(points, ends, centre, turn, size, k, tolerance, most, highes
         highest[b] = degree_at(least, k, tolerance, most)
 
 
-@njit(cache=compiled_are_kept(), fastmath=True)
+@njit(cache=compiled_are_kept(), fastmath=True, error_model="numpy")
 def tabulate_blocks(  # type: ignore[no-untyped-def]
     blocks, at, points, centre, turn, size, k, orders, start, recurrence, values, own
 ):
@@ -137,7 +135,7 @@ def tabulate_blocks(  # type: ignore[no-untyped-def]
             to_frame(points[at[j]], centre, turn, size, own[j])
         where = values[table : table + rows * count * columns].reshape((rows, count, columns))
         x, few = own[first : first + count], min(degree + 1, orders)
-        tabulate(x, k, degree, few, start, recurrence, rows == 10, where)
+        tabulate(x, k, degree, few, start, recurrence, int(blocks[i, 0]), where)
 
 
 @njit(cache=compiled_are_kept(), fastmath=True, inline="always")

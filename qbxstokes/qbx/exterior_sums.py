@@ -30,9 +30,9 @@ LANES = 32
 _FUSED = {"contract"}  # sums and products in one; the order of sums stays
 # Rows of a place: x, y, z, the gradients of gamma and eta, (x + i y) / k, and if second derivatives
 # are wanted, those of gamma and eta, six each. Rows of a harmonic: f, f_g, f_h, f_gg, f_gh, f_hh.
-_PLACE, _HARMONIC = (11, 23), (3, 6)
+PLACE, HARMONIC = (11, 23), (3, 6)
 # Rows of memory that filling and summing take.
-_OWN, _SUMS = 14, 70
+OWN, _SUMS = 14, 70
 
 
 @njit(inline="always")
@@ -45,7 +45,7 @@ def shrinking(n, m, e2):  # type: ignore[no-untyped-def]
 def fill(k, degree, orders, recurrence, second, place, table, q, own):  # type: ignore[no-untyped-def]
     """Fill the table of a group of points outside the body, whose x, y, z the place holds.
 
-    orders: at most degree + 1. Memory: q (degree + 3, LANES), own (_OWN * LANES,).
+    orders: at most degree + 1. Memory: q (degree + 3, LANES), own (OWN * LANES,).
     """
     inverse_ratio, rise, fall, diagonal = recurrence
     e2, nearest = (1.0 - k) * (1.0 + k), np.inf
@@ -76,7 +76,7 @@ def fill(k, degree, orders, recurrence, second, place, table, q, own):  # type: 
         for i in range(LANES):
             all_ratios(orders, degree, own[i], math.sqrt(1.0 / own[2 * LANES + i]), e2, ratio[i])
     extra = 2 * int(0.5 * LOG_PRECISION / growth + 1.5)
-    number, each = 0, _HARMONIC[second]
+    number, each = 0, HARMONIC[second]
     for m in range(orders):
         # b_n backwards as in `all_ratios`, at q[n + 1], or by these ratios Q_n^(m) itself.
         if forward:
@@ -179,7 +179,7 @@ def add_up(place, table, degree, orders, k, c, start, second, own):  # type: ign
     """
     # Rows: w and its derivatives w1, w2 from 16 on; from 22 on, of one order, the sums of f, f_g,
     # f_h, f_gg, f_gh, f_hh times B_x, B_y, B_z and C each.
-    first, each = 0, _HARMONIC[second]
+    first, each = 0, HARMONIC[second]
     own[: 22 * LANES] = 0.0
     own[16 * LANES : 17 * LANES] = 1.0
     for m in range(orders):
@@ -275,7 +275,7 @@ def evaluate(  # type: ignore[no-untyped-def]
     """
     second, top = 1 if out.shape[1] > 4 else 0, amplitude.shape[0] - 1
     harmonics = (top + 1) * min(orders, top + 1)
-    place, table = np.empty(_PLACE[second] * LANES), np.empty(_HARMONIC[second] * harmonics * LANES)
+    place, table = np.empty(PLACE[second] * LANES), np.empty(HARMONIC[second] * harmonics * LANES)
     q = np.empty((top + 3, LANES))
     own, outside = np.empty(_SUMS * LANES), np.empty(LANES, dtype=np.bool_)
     e2 = (1.0 - k) * (1.0 + k)
