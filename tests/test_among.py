@@ -14,9 +14,10 @@ from conftest import Run
 import qbxstokes as qs
 from qbxstokes.bie.lines import lines_in_space
 from qbxstokes.cli.main import run_command
-from qbxstokes.errors import CaseError
+from qbxstokes.errors import CaseError, ContactError, ConvergenceError
 from qbxstokes.plots.animation import animate
 from qbxstokes.plots.pictures import kinds
+from qbxstokes.runs.field_lines import _followed
 from qbxstokes.simulation.flow_among import FlowAmong
 
 WALL = qs.Wall(normal=[0.0, 1.0, 0.0])
@@ -206,6 +207,26 @@ def test_lines_end_where_they_come_to_a_moving_body() -> None:
         < 0.1
     )
     assert np.isfinite(x[2]).all()
+
+
+def test_a_step_of_tracers_into_touching_bodies_is_taken_again() -> None:
+    """At a loose tolerance the first steps are long enough to overshoot."""
+
+    def rate(t: float, gap: np.ndarray, tracers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if gap[0] < 0.55:
+            raise ContactError("bodies 1 and 2", float(gap[0]), "they touch or overlap")
+        return np.sqrt(0.4) * (0.6 - gap) * 50.0, np.ones_like(tracers)
+
+    times = np.linspace(0.0, 4.0, 5)
+    gaps, paths = _followed(rate, np.ones(1), np.zeros((1, 3)), times, 1e-2, 1e-2)
+    assert np.abs(gaps[1:] - 0.6).max() < 2e-2
+    assert np.allclose(paths[:, 0], times[:, None])
+
+    def falling(t: float, gap: np.ndarray, tracers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 0.0 * rate(t, gap, tracers)[0] - 1.0, np.ones_like(tracers)
+
+    with pytest.raises(ConvergenceError, match=r"tracers stopped: .*; bodies 1 and 2: the gap is"):
+        _followed(falling, np.ones(1), np.zeros((1, 3)), times, 1e-2, 1e-2)
 
 
 def test_tracers_of_one_listed_body_are_those_of_one_body() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from qbxstokes.bie.field import FlowAround
 from qbxstokes.case.field import Lines, Streamlines, Tracers
-from qbxstokes.errors import ConvergenceError
+from qbxstokes.errors import ContactError, ConvergenceError, FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.layout import ORIENTATION, POSITION
 from qbxstokes.runs.field_targets import in_space
@@ -179,29 +179,44 @@ def _followed(
 ) -> tuple[Array, Array]:
     """States (T, ...) of bodies and of the tracers with them, as `rate` moves both from time 0 on.
 
-    Raises ConvergenceError.
+    A step too long, inside which bodies touch or leave their flow, is taken again. Raises
+    ConvergenceError.
     """
-    from scipy.integrate import solve_ivp
+    from scipy.integrate import DOP853
 
-    n = bodies.size
+    n, refusal = bodies.size, ""
 
     def flat_rate(t: float, y: Array) -> Array:
-        parts = rate(t, y[:n].reshape(bodies.shape), y[n:].reshape(tracers.shape))
-        return np.concatenate([part.ravel() for part in parts])
+        nonlocal refusal
+        try:
+            if np.isfinite(y).all():
+                parts = rate(t, y[:n].reshape(bodies.shape), y[n:].reshape(tracers.shape))
+                return np.concatenate([part.ravel() for part in parts])
+        except (ContactError, FlowError) as error:
+            if t == 0.0:
+                raise
+            refusal = f"; {error}"
+        return np.full(y.shape, np.nan)  # which no estimated error is below
 
     allowed = np.full(n + tracers.size, tolerance)
     allowed[:n] = tolerance_of_bodies
-    allowed = np.maximum(allowed, 1e-13)
-    found = solve_ivp(
-        flat_rate,
-        (0.0, times[-1]),
-        np.concatenate([bodies.ravel(), tracers.ravel()]),
-        method="DOP853",
-        t_eval=times,
-        rtol=allowed,
-        atol=allowed,
-    )
-    if not found.success:
-        raise ConvergenceError(f"the paths of the tracers stopped: {found.message}")
-    y, count = found.y.T, len(times)
-    return y[:, :n].reshape(count, *bodies.shape), y[:, n:].reshape(count, *tracers.shape)
+    last, allowed = float(times[-1]), np.maximum(allowed, 1e-13)
+
+    def solver_from(t: float, y: Array, **settings: float) -> Any:
+        return DOP853(flat_rate, t, y, last, rtol=allowed, atol=allowed, **settings)
+
+    solver = solver_from(0.0, np.concatenate([bodies.ravel(), tracers.ravel()]))
+    found = [solver.y]
+    while len(found) < len(times):
+        t, y = solver.t, solver.y
+        message = solver.step()
+        if solver.status == "failed":
+            raise ConvergenceError(f"the paths of the tracers stopped: {message}{refusal}")
+        asked = times[len(found) : np.searchsorted(times, solver.t, "right")]
+        within = solver.dense_output()(asked).T if len(asked) else np.zeros(0)
+        if np.isfinite(within).all():
+            found += list(within)
+        else:  # what interpolates goes further than the step
+            solver = solver_from(t, y, first_step=0.5 * (solver.t - t))
+    states, count = np.array(found), len(times)
+    return states[:, :n].reshape(count, *bodies.shape), states[:, n:].reshape(count, *tracers.shape)
