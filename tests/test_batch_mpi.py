@@ -171,7 +171,7 @@ SWEEP_FAILS = [
     "qbxstokes.runs.sweep_blocks:Scenes.scene",
 ]
 MOTION_FAILS = [
-    "qbxstokes.simulation.simulation:Simulation.assemble",
+    "qbxstokes.simulation.formed_body:FormedBody.formed",
     "qbxstokes.io.writer:ResultWriter.append",
     "qbxstokes.io.field:create",
     "qbxstokes.io.field:put_rows",

@@ -66,7 +66,7 @@ def test_what_a_block_will_take_is_told_within_a_factor_of_two(name: str, tmp_pa
     scenes = scenes_of(json.dumps(case | {"start": {"position": [0, 0.5, 0]}}), tmp_path)
     ((scene, members),) = scenes.block(0).pieces
     lanes, times = lanes_of(scenes, scene, members), scenes.scene(0).plan.times
-    assembled = assemble([lanes], checked=True, evaluation="compiled")
+    assembled = assemble([lanes], evaluation="compiled")
     told, spent = list[float](), list[float]()
     for _ in range(3):
         told.append(begun([lanes], times, scenes.quantities, evaluation="compiled"))

@@ -179,7 +179,6 @@ class _Integration:
         begin = clock.perf_counter()
         assembled = assemble(
             [scene.at(lanes) for scene, lanes, _ in parts],
-            checked=True,
             maker=partial(hydrodynamics_of, pushed=self.pushed),
             evaluation="compiled",  # a sweep repays the import, however small its blocks
         )

@@ -86,7 +86,7 @@ def forecast(scene: Simulation, times: Array, stokes_number: float) -> float:
         orientation=scene.quaternion[0],
         tolerance=scene.tolerance,
     )
-    assembled = assemble([alone], checked=True, maker=_exact)
+    assembled = assemble([alone], maker=_exact)
     end = float(times[-1])
     told = Forecast(assembled.equations, 0.0, assembled.initial, end, scene.tolerance)
     method = told.method
@@ -138,7 +138,7 @@ def begun(
     settings: of `assemble`.
     """
     settings |= {"maker": _exact} if parts[0].kind == "table" else {}
-    assembled = assemble(parts, checked=True, **settings)
+    assembled = assemble(parts, **settings)
     # In the first of two kernels are loaded, or compiled.
     return min(_carried_on(LaneRun.of(assembled, times), quantities) for _ in range(2))
 

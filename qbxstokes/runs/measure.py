@@ -135,7 +135,7 @@ class Measurer:
 
         for _ in range(turns):
             body = known or body_of(loaded)
-            assembled = assemble([simulation_of(loaded, body)], checked=True, maker=form)
+            assembled = assemble([simulation_of(loaded, body)], maker=form)
             run = LaneRun.of(assembled, times)
             trajectory = timed(motions, partial(run.go, interrupted=self._poke))
             if not trajectory.finished:

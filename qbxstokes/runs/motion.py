@@ -24,6 +24,7 @@ from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Advance
 from qbxstokes.runs.recording import Recording
 from qbxstokes.runs.shared_rows import RowTeam, ordered, with_team
+from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop
@@ -162,7 +163,7 @@ def _of_one(job: Job, recording: Recording, team: RowTeam) -> dict[str, Any]:
     cache = open_cache(case.hydrodynamics.cache, off)
     job.plan.simulation.body.workshop = Workshop(team, cache)
     with clock.part("set-up"), pointed(loaded):
-        assembled = job.plan.simulation.assemble(checked=True)
+        assembled = assemble([job.plan.simulation])
         events = assembled.watch()
 
     def facts(trajectory: Trajectory) -> dict[str, Any]:

@@ -270,20 +270,16 @@ def assemble(
     parts: Sequence[Simulation],
     *,
     t: float = 0.0,
-    checked: bool = False,
     evaluation: Any = "auto",
     maker: Maker = hydrodynamics_of,
 ) -> Assembled:
     """Put the scenes together: the only place where body, flow, loads and equations meet.
 
-    checked: the flows have been checked before. evaluation: of the right-hand side
+    Their flows are to have been checked. evaluation: of the right-hand side
     (`RigidBodyEquations`). maker: what makes the hydrodynamics. Raises SceneError for scenes that
     cannot be integrated together.
     """
     parts = tuple(parts)
-    if not checked:
-        for part in parts:
-            part.check()
     formed = tuple(maker(part) for part in parts)
     first = parts[0]
     counts = [len(part) for part in parts]
@@ -311,7 +307,7 @@ def assemble(
         _stacked([part.angular_velocity for part in parts]),
         t,
     )
-    again = partial(assemble, t=t, checked=True, evaluation=evaluation, maker=maker)
+    again = partial(assemble, t=t, evaluation=evaluation, maker=maker)
     return Assembled(parts, formed, equations, initial, again)
 
 

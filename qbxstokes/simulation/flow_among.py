@@ -252,9 +252,9 @@ class FlowAmong:
         bodies = self.problem.bodies
         return sizes(self.scale, max(body.size * body.shape.radius for body in bodies))
 
-    def check_points(self, count: int, seed: int = 0) -> Array:
+    def check_points(self, count: int) -> Array:
         """Random points (count, 3) of the fluid, from the surfaces to ten body lengths away."""
-        rng, found = np.random.default_rng(seed), np.zeros((0, 3))
+        rng, found = np.random.default_rng(0), np.zeros((0, 3))
         while len(found) < count:
             body = self.problem.bodies[int(rng.integers(len(self.problem.bodies)))]
             theta, phi = np.arccos(rng.uniform(-1.0, 1.0)), rng.uniform(0.0, 2.0 * np.pi)

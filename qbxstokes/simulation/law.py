@@ -70,7 +70,7 @@ class Law:
             velocity=velocity,
             angular_velocity=velocity,
         )
-        assembled = assemble([placed], checked=True, maker=lambda *_: self.formed)
+        assembled = assemble([placed], maker=lambda *_: self.formed)
         equations = assembled.equations
         ask = equations.velocities if velocity is None else equations.force_torque
         one, other = ask(0.0, assembled.initial)

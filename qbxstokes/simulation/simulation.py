@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -138,30 +139,23 @@ class Simulation:
     def at(self, chosen: Indices) -> Simulation:
         """Some of the lanes, by their numbers, as one row of lanes."""
 
-        def some(vectors: Array | None) -> Array | None:
-            return None if vectors is None else vectors[chosen]
+        def rows(vectors: Any) -> Any:
+            whole = vectors is None or callable(vectors) or np.ndim(vectors) < 2
+            return vectors if whole else vectors[chosen]
 
-        def lane_loads(vectors: Any) -> Any:
-            return vectors if callable(vectors) or np.ndim(vectors) < 2 else vectors[chosen]
-
-        loads, bound = self.loads, self.constraints
-        chosen_lanes = Simulation(
-            self.body.with_inertia(self.stokes_number[chosen], self.body.inertia),
-            self.flow,
-            position=self.position[chosen],
-            orientation=self.quaternion[chosen],
-            velocity=some(self.velocity),
-            angular_velocity=some(self.angular_velocity),
-            loads=None if loads is None else Loads(*map(lane_loads, vars(loads).values())),
-            constraints=None
-            if bound is None
-            else Constraints(*(None if v is None else lane_loads(v) for v in vars(bound).values())),
-            events=self.events,
-            brownian=self.brownian,
-            tolerance=self.tolerance,
-        )
-        chosen_lanes.numbers = self.numbers[chosen]
-        return chosen_lanes
+        some, stokes = copy(self), self.stokes_number[chosen]
+        for known in ("gradient", "frame", "period", "recognised"):
+            vars(some).pop(known, None)
+        some.body, some.lanes = self.body.with_inertia(stokes, self.body.inertia), (len(chosen),)
+        some.stokes_number, some.numbers = stokes, self.numbers[chosen]
+        some.position = self.position[chosen]
+        some.quaternion = rotation.normalize(self.quaternion[chosen])
+        some.velocity, some.angular_velocity = map(rows, (self.velocity, self.angular_velocity))
+        if self.loads is not None:
+            some.loads = Loads(*map(rows, vars(self.loads).values()))
+        if self.constraints is not None:
+            some.constraints = Constraints(*map(rows, vars(self.constraints).values()))
+        return some
 
     def shaped(self, values: Array) -> Array:
         """Values (n, ...) of the lanes in the shape of the leading axes."""
@@ -262,9 +256,10 @@ class Simulation:
 
     # -- what is done with it -----------------------------------------------------------------
 
-    def assemble(self, *, t: float = 0.0, checked: bool = False) -> Assembled:
+    def assemble(self, *, t: float = 0.0) -> Assembled:
         """The equations of the scene with their start at time t, hydrodynamics formed."""
-        return assemble([self], t=t, checked=checked)
+        self.check()
+        return assemble([self], t=t)
 
     def integrate(self, times: ArrayLike) -> Motion:
         """The motion from t = 0, sampled at increasing times (T,), by PETSc TS.
@@ -289,6 +284,8 @@ class Simulation:
         Their tolerance, constraints and kind of inertia have to agree, and their flows have to be
         polynomials (degree <= 3) or the same.
         """
+        for simulation in simulations:
+            simulation.check()
         return assemble(simulations)
 
 
