@@ -223,7 +223,7 @@ class CompiledMotion(MonitoredGridMotion):
     def _on_states(self, run: Any, body: Array) -> Function:
         def function(t: float, y: Array, out: Array) -> None:
             assert self.grid_of_run is not None
-            now = self._flow.before_break(t)
+            now = self._flow.between(t)
             run(now, np.array(y, order="C"), *self.grid_of_run, body, out)
 
         return function
@@ -233,6 +233,6 @@ class CompiledMotion(MonitoredGridMotion):
         limits = *self._allowed, self._tolerance
         grids = self._on_rung(rung + 2).grid, self._on_rung(rung).grid
         found: tuple[float, int] = run(
-            self._flow.before_break(t), x, q, *grids, self._functional.grid.shape.radius, limits
+            self._flow.between(t), x, q, *grids, self._functional.grid.shape.radius, limits
         )
         return found

@@ -40,7 +40,7 @@ LIBRARIES = (".so", ".dylib", ".dll")  # files that functions of C are in
 _kept: dict[str, Any] = {}  # what Python cannot refer to weakly, such as a function written in C
 
 
-class UserFlow(Flow):
+class UserFlow(Between, Flow):
     """u(x) = function(x) or function(x, t), with x an array (n, 3) and the result of that shape.
 
     Derivatives are extrapolated central differences (`qbxstokes.flows.differences`) with steps up
@@ -74,7 +74,7 @@ class UserFlow(Flow):
     ) -> None:
         """Raises FlowError if the function cannot be found or does not return velocities."""
         self.length = number(length, "length", positive=True)
-        self._breaks, self._stretch = instants(breaks), Between()
+        self._breaks = instants(breaks)
         if parameters is not None and not isinstance(parameters, Mapping):
             raise FlowError(f"parameters must be names and values, not {parameters!r}", _GIVEN)
         if not all(isinstance(name, str) for name in parameters or {}):
@@ -138,7 +138,7 @@ class UserFlow(Flow):
         """What a function says at points (..., 3), of the shape (..., *of)."""
         flat = x.reshape(-1, 3)
         try:
-            result = np.asarray(function(flat, self.before_break(t)))
+            result = np.asarray(function(flat, self.between(t)))
         except (Exception, SystemExit) as error:
             raise FlowFunctionError(
                 f"flow function {name} raised {type(error).__name__}: {error}", ("function",)
@@ -183,14 +183,6 @@ class UserFlow(Flow):
     def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those that were given."""
         return self._breaks[(self._breaks > 0.0) & (self._breaks < end)]
-
-    def until(self, t: float, since: float = -math.inf) -> None:
-        """Show itself, from now on, as before the break t: at t as just before it."""
-        self._stretch.until(t)
-
-    def before_break(self, t: float) -> float:
-        """The instant that the function is asked for (see `until`)."""
-        return self._stretch.between(t)
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3) by extrapolated differences."""

@@ -43,25 +43,20 @@ class SurfaceGrid:
     nodes: PolarNodes = "cosine"
 
     @cached_property
-    def _gauss(self) -> tuple[Array, Array, Array]:
-        x, w = gauss_legendre(self.n_theta)
-        barycentric = (-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w)
-        return *polar_rule(self.n_theta, self.nodes), barycentric
-
-    @property
     def theta(self) -> Array:
         """Polar nodes (n_theta,), increasing."""
-        return self._gauss[0]
+        return polar_rule(self.n_theta, self.nodes)[0]
 
-    @property
+    @cached_property
     def theta_weights(self) -> Array:
         """Weights (n_theta,) of the polar nodes with respect to d theta."""
-        return self._gauss[1]
+        return polar_rule(self.n_theta, self.nodes)[1]
 
-    @property
+    @cached_property
     def barycentric(self) -> Array:
         """Barycentric interpolation weights (n_theta,) of the polar nodes."""
-        return self._gauss[2]
+        x, w = gauss_legendre(self.n_theta)
+        return np.asarray((-1.0) ** np.arange(self.n_theta) * np.sqrt((1.0 - x * x) * w))
 
     @cached_property
     def phi(self) -> Array:

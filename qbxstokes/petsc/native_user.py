@@ -58,7 +58,7 @@ class NativeUser(Native):
         assert self._motion.grid_of_run is not None
         c, (points, weights) = self._constants, self._motion.grid_of_run
         c[_ASTRAY] = 0.0
-        c[_LAST] = self._flow.before_break(np.inf)
+        c[_LAST] = self._flow.between(np.inf)
         c[_POINTS], c[_WHERE], c[_WEIGHTS] = len(points), points.ctypes.data, weights.ctypes.data
 
     @property

@@ -103,13 +103,9 @@ def draw_sphere(axes: Axes, camera: Camera) -> None:
         across = np.array([np.cos(longitude), np.sin(longitude), 0.0])
         rings.append(circle[:, :1] * across + circle[:, 1:2] * [0.0, 0.0, 1.0])
     for ring in rings:
-        front, _ = split_at_silhouette(ring, camera.depth(ring))
-        for piece in front:
-            axes.plot(*camera.project(piece).T, color=style.PALE, linewidth=0.4, zorder=1)
-    front, back = split_at_silhouette(circle, camera.depth(circle))
-    for pieces, color, zorder in ((front, style.GREY, 1), (back, style.PALE, 0.5)):
-        for piece in pieces:
-            axes.plot(*camera.project(piece).T, color=color, linewidth=0.6, zorder=zorder)
+        _draw_curve(axes, camera, ring, {"color": style.PALE, "zorder": 1}, None, linewidth=0.4)
+    ahead, behind = {"color": style.GREY, "zorder": 1}, {"color": style.PALE, "zorder": 0.5}
+    _draw_curve(axes, camera, circle, ahead, behind, linewidth=0.6)
     for index, direction in enumerate(np.eye(3)):
         _draw_arrow(axes, camera, direction, f"$x_{index + 1}$")
     axes.set_aspect("equal")
@@ -144,14 +140,20 @@ def _draw_arrow(axes: Axes, camera: Camera, direction: Array, name: str) -> None
 
 
 def _draw_path(axes: Axes, camera: Camera, path: Array) -> None:
-    front, back = split_at_silhouette(path, camera.depth(path))
-    for pieces, color, width, zorder, gid in (
-        (back, style.PALE_BLUE, 0.8, 2, "behind"),
-        (front, style.BLUE, 1.4, 4, "before"),
+    before = {"color": style.BLUE, "linewidth": 1.4, "zorder": 4, "gid": "before"}
+    behind = {"color": style.PALE_BLUE, "linewidth": 0.8, "zorder": 2, "gid": "behind"}
+    _draw_curve(axes, camera, path, before, behind, rasterized=len(path) > _MANY)
+
+
+def _draw_curve(
+    axes: Axes, camera: Camera, curve: Array, before: Any, behind: Any, **look: Any
+) -> None:
+    """A curve on the sphere, what is before it and what is behind in looks of their own, or not."""
+    for pieces, own in zip(
+        split_at_silhouette(curve, camera.depth(curve)), (before, behind), strict=True
     ):
-        look: dict[str, Any] = {"color": color, "linewidth": width, "zorder": zorder, "gid": gid}
-        for piece in pieces:
-            axes.plot(*camera.project(piece).T, rasterized=len(path) > _MANY, **look)
+        for piece in pieces if own else ():
+            axes.plot(*camera.project(piece).T, **own, **look)
 
 
 def _draw_coloured(axes: Axes, camera: Camera, at: Array, path: Array) -> None:
