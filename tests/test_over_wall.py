@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import qbxstokes as qs
 from qbxstokes.errors import CaseError, SceneError
 from qbxstokes.flows.polynomial import PolynomialFlow
+from qbxstokes.motion.loads import Loads
 
 WALL = qs.Wall(normal=[1.0, 2.0, 0.5], point=[0.1, 0.2, -0.3])
 
@@ -76,6 +79,19 @@ def test_a_motion_from_the_table_is_that_of_solves() -> None:
     assert table.summary["solves"] == 2 < plain.summary["solves"]
     assert np.allclose(table.position, plain.position, rtol=0.0, atol=2e-3)
     assert table.summary["velocity_errors"]["velocity"] > 0.0
+
+
+def test_errors_of_a_table_are_those_of_the_speeds_it_gives() -> None:
+    errors = []
+    for force in (1.0, 1e6):
+        down: Any = {"position": [[0, 2.6, 0]], "loads": Loads(np.array([[0.0, -force, 0.0]]))}
+        scene = qs.Simulation([qs.Body(1.0)], None, qs.Wall(), **down, tolerance=1e-2, table=True)
+        together: Any = scene.assemble()
+        together.free(0.0, scene.position, scene.quaternion)
+        together.estimate(0.0, together.initial)
+        errors.append(together.errors["velocity"] / force)
+        assert together.relative_error > scene.table.error_estimate > 0.0
+    assert errors[0] == pytest.approx(errors[1])
 
 
 def test_a_table_is_one_of_a_single_body_by_a_wall() -> None:

@@ -273,10 +273,11 @@ class Together(Between, Watch):
         x, q = y[:, POSITION], rotation.normalize(y[:, ORIENTATION])
         found = self._solved("estimate", t, x, q)
         for name in ("velocity", "angular_velocity"):
-            error, share = found.error_estimate[name], found.relative_errors.get(name, 0.0)
-            self.relative_error = max(self.relative_error, share)
+            share = found.relative_errors.get(name, 0.0)
             if self.scene.table is not None:
-                error += self.scene.table.error_estimate
+                share += self.scene.table.error_estimate
+            self.relative_error = max(self.relative_error, share)
+            error = share * found.sizes[name]
             self.errors[name] = max(self.errors.get(name, 0.0), error)
 
     def _solved(self, kind: str, t: float, x: Array, q: Array, **motion: Array) -> Any:
