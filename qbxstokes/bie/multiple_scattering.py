@@ -306,8 +306,10 @@ class Coupled:
 
     # -- data and results ---------------------------------------------------------------------
 
-    def background(self, velocity: Callable[[Array], Array]) -> Array:
-        """A flow of space (P, 3) on all that is held, in the bodies' frames."""
+    def background(self, velocity: Callable[[Array], Array] | None) -> Array:
+        """A flow of space (P, 3), or none, on all that is held, in the bodies' frames."""
+        if velocity is None:
+            return np.zeros((self.size // 3, 3))
         points = [self.points[b][held] for b, held in self.held.items()]
         found = np.array(velocity(np.concatenate([np.zeros((0, 3)), *points])))
         for b, rows in self.slices.items():

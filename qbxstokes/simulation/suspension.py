@@ -338,10 +338,7 @@ class Suspension:
         """Bodies of given motions (N, 6), each in a background (points -> velocity) or none."""
         solver, found = self._solver(problem, False), []
         for motion, background in cases:
-            data = problem.rigid_data(motion)
-            if background is not None:
-                data -= problem.background(background)
-            x = solver.solve(data)
+            x = solver.solve(problem.rigid_data(motion) - problem.background(background))
             _, sent = solver.swept(x)
             flows = [sent[b].copy() for b in range(len(self))]
             loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
@@ -359,10 +356,7 @@ class Suspension:
         solver = self._solver(problem, True)
         alone = [problem.loaded(b, loads[b]) for b in range(len(self))]
         driven = {b: flow for b, (_, flow) in enumerate(alone)}
-        data = -problem.arriving(driven)
-        if background is not None:
-            data -= problem.background(background)
-        x = solver.solve(data, guess)
+        x = solver.solve(-problem.arriving(driven) - problem.background(background), guess)
         own, sent = solver.swept(x)
         parts = {b: problem.alone(b, own[rows])[1] for b, rows in problem.slices.items()}
         less = solver.gathered(parts, range(len(self)), lambda b: (6,))()
