@@ -97,6 +97,21 @@ def test_lanes_may_differ_in_everything_and_agree_with_each_alone() -> None:
         qs.Simulation.stack([scenes[0], qs.Simulation(scenes[1].body, flows[0])]).integrate(times)
 
 
+def test_some_of_the_lanes_are_a_scene_like_all() -> None:
+    axes = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
+    loads = qs.Loads(force=np.eye(3))
+    scene = qs.Simulation(qs.Body(0.5), qs.flow("shear"), orientation=axes, loads=loads)
+    some = scene.at(np.array([0, 2]))
+    assert type(some) is qs.Simulation
+    assert some.period == scene.period
+    assert len(some) == 2
+    np.testing.assert_array_equal(some.numbers, [0, 2])
+    times = [0.0, 1.0]
+    np.testing.assert_allclose(
+        some.integrate(times).position, scene.integrate(times).position[[0, 2]], atol=1e-12
+    )
+
+
 def test_lanes_keep_the_shape_of_what_was_given() -> None:
     axes = np.random.default_rng(5).normal(size=(2, 3, 3))
     body = qs.Body(0.5, stokes_number=np.array([1.0, 2.0, 4.0]), tolerance=1e-8)

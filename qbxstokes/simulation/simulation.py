@@ -70,8 +70,10 @@ class Simulation:
     brownian: Brownian | None = None
     numbers: NDArray[np.uint64]  # of the lanes as trajectories, which choose their random numbers
 
-    def __new__(cls, bodies: Any = (), flow: Any = None, surroundings: Any = None, **_: Any) -> Any:
-        """Several bodies, or one by a wall, make a `CoupledSimulation`."""
+    def __new__(
+        cls, bodies: Any = None, flow: Any = None, surroundings: Any = None, **_: Any
+    ) -> Any:
+        """Several bodies, or one by a wall, make a `CoupledSimulation`; a copy stays what it is."""
         if cls is Simulation and (isinstance(bodies, Sequence) or surroundings is not None):
             # It stands on this class, and is looked up when it is needed.
             return super().__new__(import_module(_COUPLED).CoupledSimulation)
