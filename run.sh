@@ -17,7 +17,7 @@ here=$(cd "${BASH_SOURCE[0]%/*}" && pwd -P)
 venv=$here/.venv
 log=$venv/install.log
 base=(petsc4py mpi4py numpy h5py yaml)
-rest=(scipy numba matplotlib tqdm)
+rest=(scipy numba matplotlib)
 packages=(python3-mpi4py python3-venv openmpi-bin libopenblas0-pthread)
 
 say() { printf 'run.sh: %s\n' "$*" >&2; }

@@ -46,14 +46,13 @@ HOMES = {
     "pint": {"units"},
     "pandas": {"io"},
     "xarray": {"io"},
-    "tqdm": {"runs"},
     "argparse": {"runs", "cli", "__main__"},
     "logging": {"petsc", "io", "plots", "case", "simulation", "runs", "cli", "__main__"},
 }
 # What verifies shares no code with what is verified.
 REFERENCE_LIBRARIES = {"numpy", "scipy"}
 # Slow to import, needed by few runs: imported inside the functions that use them.
-LAZY = ("numba", "scipy", "matplotlib", "tqdm", "pandas", "xarray", "pint")
+LAZY = ("numba", "scipy", "matplotlib", "pandas", "xarray", "pint")
 
 
 def unit(module: str) -> str:
@@ -244,7 +243,7 @@ def test_allowed_imports_pass(module: str, source: str) -> None:
     assert violations(source, module) == []
 
 
-OUTER = ("petsc4py", "mpi4py", "h5py", "matplotlib", "tqdm", "pandas")
+OUTER = ("petsc4py", "mpi4py", "h5py", "matplotlib", "pandas")
 
 
 @pytest.mark.parametrize("package", MATHEMATICS)

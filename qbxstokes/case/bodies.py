@@ -79,11 +79,6 @@ _COLUMNS: dict[str, tuple[str, ...]] = {
 _PARTS = {"position": "123", "axis": "123", "orientation": "0123", "force": "123", "torque": "123"}
 
 
-def _parts(name: str) -> list[str]:
-    """Columns of a quantity: position_1 and so on."""
-    return [f"{name}_{part}" for part in _PARTS.get(name, "")] or [name]
-
-
 def expanded(value: Any, folder: Path) -> Any:
     """`bodies` with a table in place of its name as the list it stands for; raises Problem."""
     if not isinstance(value, dict) or set(value) != {"table"}:
@@ -93,51 +88,53 @@ def expanded(value: Any, folder: Path) -> Any:
             raise Problem(f"is {describe(value['table'])}", "the name of a CSV or HDF5 file")
         path = folder / value["table"]
         held = _datasets(path) if path.suffix in (".h5", ".hdf5") else _columns(path)
-        known = [part for name in _COLUMNS for part in _parts(name)]
-        for name in held or ("",):
-            if name not in known:
-                right = meant(name, known, f"columns of {', '.join(known)}")
-                raise Problem(f"{path}: {name or 'has no header'} is no column", right)
         bodies: list[dict[str, Any]] = [{} for _ in next(iter(held.values()))]
-        for name, (*sections, last) in _COLUMNS.items():
-            there = [held[part] for part in _parts(name) if part in held]
-            if not there:
-                continue
-            if len(there) < len(_parts(name)):
-                lacking = next(part for part in _parts(name) if part not in held)
-                raise Problem(f"{path}: {lacking} is missing", f"all components of {name}")
-            for body, row in zip(bodies, zip(*there, strict=True), strict=True):
+        for name, numbers in held.items():
+            *sections, last = _COLUMNS[name]
+            for body, number in zip(bodies, numbers, strict=True):
                 for section in sections:
                     body = body.setdefault(section, {})
-                body[last] = list(row) if name in _PARTS else row[0]
+                body[last] = number
         return bodies
 
 
-def _columns(path: Path) -> dict[str, list[float]]:
-    """Columns of a CSV file, by name, that has a row for each body."""
+def _columns(path: Path) -> dict[str, list[Any]]:
+    """Quantities of a CSV file with a row for each body, a component a column (position_1)."""
     try:
         table = read_table(path)
     except TableError as error:
         raise Problem(str(error), "a header and one line a body") from None
-    return dict(zip(table.names, table.numbers.T.tolist(), strict=False))
+    held = dict(zip(table.names, table.numbers.T.tolist(), strict=False))
+    parts_of = {n: [f"{n}_{part}" for part in _PARTS.get(n, "")] or [n] for n in _COLUMNS}
+    known = [part for parts in parts_of.values() for part in parts]
+    for name in held or ("",):
+        if name not in known:
+            right = meant(name, known, f"columns of {', '.join(known)}")
+            raise Problem(f"{path}: {name or 'has no header'} is no column", right)
+    found: dict[str, list[Any]] = {}
+    for name, parts in parts_of.items():
+        if lacking := [part for part in parts if part not in held]:
+            if len(lacking) < len(parts):
+                raise Problem(f"{path}: {lacking[0]} is missing", f"all components of {name}")
+            continue
+        rows = zip(*(held[part] for part in parts), strict=True)
+        found[name] = [list(row) if name in _PARTS else row[0] for row in rows]
+    return found
 
 
-def _datasets(path: Path) -> dict[str, list[float]]:
+def _datasets(path: Path) -> dict[str, list[Any]]:
     """The same of an HDF5 file with a dataset of each quantity: position (N, 3), size (N,)."""
     try:
         found = read_datasets(path)
     except TableError as error:
         right = "datasets such as aspect_ratio (N,) and position (N, 3)"
         raise Problem(str(error), right) from None
-    columns: dict[str, list[float]] = {}
     for name, values in found.items():
         width = (len(_PARTS[name]),) if name in _PARTS else ()
         if name not in _COLUMNS or values.shape[1:] != width:
             wrong = f"{path}: {name}, of shape {values.shape}, is no quantity of bodies"
             raise Problem(wrong, meant(name, _COLUMNS, f"some of {', '.join(_COLUMNS)}"))
-        parts = values.reshape(len(values), -1).T.tolist()
-        columns |= dict(zip(_parts(name), parts, strict=True))
-    return columns
+    return {name: values.tolist() for name, values in found.items()}
 
 
 # Keys that have no meaning where bodies share a fluid or feel a wall.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,25 +81,37 @@ def make_plan(loaded: LoadedCase, pushed: bool = False) -> MotionPlan:
 
     pushed: form the resistance, which others that share the body need, in any case.
     """
-    case = loaded.case
-    with pointed(loaded):
-        start_of(loaded).check()
-    times = times_of(loaded)
-    scene = simulation_of(loaded)
-    # Elsewhere an orbit constant would be a number without meaning.
-    simple = scene.frame.simple
-    quantities = tuple(name for name in MOTION if simple or name != "orbit_constant")
-    if case.output.fields is not None:
-        for index, name in enumerate(case.output.fields):
-            if name not in (*quantities, *STRESS):
-                raise loaded.error(
-                    ("output", "fields", index),
-                    f"{name} exists in a simple shear only, which the flow at the start is not",
-                    "leave it out",
-                )
-        quantities = tuple(dict.fromkeys(case.output.fields))
-    needs, skips = _work(case, scene.kind, loaded.flow.degree, scene.completion(pushed))
+    _placed(loaded)
+    times, scene = times_of(loaded), simulation_of(loaded)
+    wrong = "exists in a simple shear only, which the flow at the start is not"
+    quantities = _stored(loaded, scene.frame.simple, STRESS, wrong, "leave it out")
+    needs, skips = _work(loaded.case, scene.kind, loaded.flow.degree, scene.completion(pushed))
     return MotionPlan(scene, needs, skips, times, quantities)
+
+
+def _placed(loaded: LoadedCase) -> Simulation:
+    """The scene at its start, where a body may be; raises CaseError."""
+    with pointed(loaded):
+        scene = start_of(loaded)
+        scene.check()
+    return scene
+
+
+def _stored(
+    loaded: LoadedCase, sheared: bool, more: Iterable[str], wrong: str, right: str
+) -> tuple[str, ...]:
+    """The quantities that are asked for, or all of a motion; raises CaseError for any but `more`.
+
+    sheared: in a simple shear; elsewhere an orbit constant would be a number without meaning.
+    """
+    usual = tuple(name for name in MOTION if sheared or name != "orbit_constant")
+    asked = loaded.case.output.fields
+    if asked is None:
+        return usual
+    for index, name in enumerate(asked):
+        if name not in (*usual, *more):
+            raise loaded.error(("output", "fields", index), f"{name} {wrong}", right)
+    return tuple(dict.fromkeys(asked))
 
 
 def subject_to_forces(case: Case) -> bool:
@@ -205,14 +217,9 @@ def plan_coupled(loaded: LoadedCase) -> Plan:
     times = np.linspace(0.0, end_of(loaded), case.time.samples or _COUPLED_SAMPLES)
     if case.time.at is not None:
         times = np.array(case.time.at)
-    sheared = scene.flow is not None and scene.frame.simple
-    quantities = tuple(n for n in MOTION if n != "orbit_constant" or sheared)
-    if case.output.fields is not None:
-        quantities = tuple(dict.fromkeys(case.output.fields))
-        for index, name in enumerate(quantities):
-            if name not in (*MOTION, "stresslet"):
-                wrong, right = f"{name} is not there for several bodies or a wall", "stresslet"
-                raise loaded.error(("output", "fields", index), wrong, right)
+    sheared, known = scene.flow is not None and scene.frame.simple, (*MOTION, "stresslet")
+    wrong = "is not there for several bodies or a wall"
+    quantities = _stored(loaded, sheared, known, wrong, "stresslet")
     return MotionPlan(scene, tuple(needs), skips, times, quantities)
 
 
@@ -220,9 +227,7 @@ def plan_rheology(loaded: LoadedCase) -> Plan:
     """Plan of `task: rheology`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
     section = case.rheology
-    with pointed(loaded):
-        scene = start_of(loaded)
-        scene.check()
+    scene = _placed(loaded)
     finite = [number for number in section.peclet_number if np.isfinite(number)]
     needs = ["the stresslet of the body: three adjoint solves, in the modes 0, 1 and 2"]
     if finite:
@@ -243,9 +248,7 @@ def _points(targets: Sequence[Targets]) -> tuple[int, list[str]]:
 def plan_field(loaded: LoadedCase) -> Plan:
     """Plan of `task: field`; raises CaseError for what the schema alone cannot see."""
     case = loaded.case
-    start = start_of(loaded)
-    with pointed(loaded):
-        start.check()
+    start = _placed(loaded)
     points, parts = _points(targets_of(loaded, case.field))
     needs = [f"integral equation of a body that is {case.field.body}", *parts]
     if case.field.surface is not None:

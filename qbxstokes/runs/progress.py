@@ -18,8 +18,9 @@ from qbxstokes.runs.report import duration
 Style = Literal["auto", "bar", "line", "none"]
 STYLES = ("auto", "bar", "line", "none")
 
-# A bar is drawn again at most this often, a line at growing intervals, so that a log stays short.
-_BAR_INTERVAL = 0.1
+# A bar, of so many signs, is drawn again at most this often; a line at growing intervals, so that a
+# log stays short.
+_BAR_INTERVAL, _BAR = 0.1, 20
 _LINE_INTERVALS = (2.0, 60.0)
 _GROWTH = 1.3
 # Seconds (s) between the first words of a motion.
@@ -43,13 +44,8 @@ class Progress:
         self._total, self._style, self._unit = total, style, unit
         self._begin = self._told = time.monotonic()
         self._interval = _LINE_INTERVALS[0] if style == "line" else _BAR_INTERVAL
-        self._bar: Any = None
         self._before, self._share = before, 0.0
         self._last: tuple[int, int] | None = None
-        if style == "bar":
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, unit="", unit_scale=True, desc=unit, file=sys.stderr)
 
     @property
     def due(self) -> bool:
@@ -69,17 +65,11 @@ class Progress:
         """Tell the last state, where that is not what was told last."""
         if self._style != "none" and self._last != (done, failed):
             self._tell(done, failed)
-        if self._bar is not None:
-            self._bar.close()
+        if self._style == "bar":
+            print(file=sys.stderr)
 
     def _tell(self, done: int, failed: int) -> None:
         self._told, self._last = time.monotonic(), (done, failed)
-        if self._bar is not None:
-            self._bar.n = done + failed
-            if failed:
-                self._bar.set_postfix_str(f"{failed} failed", refresh=False)
-            self._bar.refresh()
-            return
         spent = self._told - self._begin
         finished = done + failed
         # Of this run alone: what an earlier one did says nothing of what is left.
@@ -96,7 +86,12 @@ class Progress:
             parts.append(f"in {duration(spent)}")
         if failed:
             parts.append(f"{failed} failed")
-        print(f"qbxstokes: {', '.join(parts)}", file=sys.stderr, flush=True)
+        text = f"qbxstokes: {', '.join(parts)}"
+        if self._style == "bar":
+            full = _BAR * finished // max(self._total, 1)
+            print(f"\r{'#' * full:.<{_BAR}} {text:<80}", end="", file=sys.stderr, flush=True)
+            return
+        print(text, file=sys.stderr, flush=True)
         self._interval = min(self._interval * _GROWTH, _LINE_INTERVALS[1])
 
 
