@@ -362,7 +362,7 @@ def test_a_failure_of_all_ranks_in_a_service_is_told_once(mpirun: Run) -> None:
     script = """
 from qbxstokes.errors import OutputError
 from qbxstokes.runs.parallel import agree, guarded, on_root, world
-from qbxstokes.runs.shared_rows import with_team
+from qbxstokes.runs.sharing import with_team
 comm = world()
 def service():
     agree(comm, OutputError("the disk is full") if comm.rank == 1 else None)

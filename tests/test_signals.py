@@ -19,7 +19,7 @@ from conftest import ENVIRONMENT
 
 import qbxstokes as qs
 from qbxstokes.runs.parallel import guarded
-from qbxstokes.runs.shared_rows import ALONE
+from qbxstokes.runs.sharing import ALONE
 
 SHEAR: dict[str, Any] = {
     "body": {"aspect_ratio": 0.5},

@@ -24,8 +24,7 @@ from qbxstokes.io.store import (
     read_part,
     write_part,
 )
-from qbxstokes.runs.gathering import Gathering, notes
-from qbxstokes.runs.shared_rows import ALONE
+from qbxstokes.runs.sharing import ALONE, Gathering, notes
 
 IDENTITY = {"body": {"aspect_ratio": 0.5}, "options": []}
 ROWS = {"index": np.arange(3), "x": np.linspace(0.0, 1.0, 6).reshape(3, 2), "n": np.float64(7.0)}
@@ -187,7 +186,7 @@ def test_many_ranks_make_thousands_of_files_not_millions(
     """A hundred ranks with a thousand blocks each, ten a second, by a clock of our own."""
     saved, now = [0], [0.0]
     monkeypatch.setattr(Work, "save", lambda *_: saved.__setitem__(0, saved[0] + 1))
-    monkeypatch.setattr("qbxstokes.runs.gathering.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("qbxstokes.runs.sharing.time.monotonic", lambda: now[0])
     work = Work(tmp_path / "r.h5", IDENTITY, 1)
     rows, ranks, blocks = {"index": np.arange(8)}, 100, 1000
     for rank in range(ranks):

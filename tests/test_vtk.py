@@ -16,8 +16,8 @@ import pytest
 from qbxstokes.cli.main import run_command
 from qbxstokes.geometry import rotation
 from qbxstokes.io import field as store
+from qbxstokes.io.field import export
 from qbxstokes.io.results import load
-from qbxstokes.io.vtkhdf import export
 
 CASE = {
     "task": "field",

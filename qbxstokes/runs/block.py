@@ -15,7 +15,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.petsc.trajectory import Checkpoint, Trajectory
-from qbxstokes.runs.gathering import Keeper
+from qbxstokes.runs.sharing import Keeper
 from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.runs.sweep_layout import Swept, coordinates_of
 from qbxstokes.simulation.assembly import assemble

@@ -11,7 +11,7 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.symmetric import components
 from qbxstokes.quantities import BODY, COUPLED
 from qbxstokes.runs.parallel import agree, on_root
-from qbxstokes.runs.shared_rows import RowTeam, with_team
+from qbxstokes.runs.sharing import RowTeam, with_team
 from qbxstokes.simulation.compare import Comparison
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop

@@ -49,7 +49,7 @@ class Job:
     def start(self) -> None:
         """Start PETSc by all ranks; `provenance` is what a result says of how it was made."""
         with self.clock.part("import"):
-            from qbxstokes.runs.provenance import asked_revision, provenance
+            from qbxstokes.runs.destination import asked_revision, provenance
         loaded, told = self.loaded, self.comm.rank == 0
         with self.clock.part("start PETSc"):
             from qbxstokes.petsc import session

@@ -24,8 +24,8 @@ from qbxstokes.flows.polynomial import PolynomialFlow
 from qbxstokes.motion.forecast import Forecast
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.field_targets import instant_of, targets_of
-from qbxstokes.runs.gathering import MOST
 from qbxstokes.runs.plan import MotionPlan, Plan
+from qbxstokes.runs.sharing import MOST
 from qbxstokes.runs.sweep_blocks import BLOCK_BYTES, STOKES, Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble

@@ -27,10 +27,10 @@ from qbxstokes.io.store import Work
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.quantities import of_ensemble
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
-from qbxstokes.runs.gathering import Crew, Gathering, notes, seconds_between
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
+from qbxstokes.runs.sharing import Crew, Gathering, notes, seconds_between
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble, turns_with_inertia
 from qbxstokes.simulation.ensemble_means import Found, Sums, added, slenderness

@@ -21,10 +21,9 @@ from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.field_lines import moving_tracers, steady_tracers, tracers_among
 from qbxstokes.runs.field_targets import chosen_instants, instant_of
 from qbxstokes.runs.field_work import FieldWork
-from qbxstokes.runs.gathering import seconds_between
 from qbxstokes.runs.plan import plan_of
 from qbxstokes.runs.progress import Clock, compilation_told
-from qbxstokes.runs.shared_rows import RowTeam
+from qbxstokes.runs.sharing import RowTeam, seconds_between
 from qbxstokes.simulation.flow_around import Instant
 from qbxstokes.simulation.from_case import pointed
 from qbxstokes.typing import Array
@@ -157,7 +156,7 @@ def export_field(loaded: LoadedCase, clock: Clock, file: Any, work: Work) -> lis
     section = loaded.case.field
     if section is None or not section.vtk:
         return []
-    from qbxstokes.io.vtkhdf import export
+    from qbxstokes.io.field import export
 
     with clock.part("export"):
         return [str(export(file, work.target.with_suffix(".vtkhdf"), work.folder))]

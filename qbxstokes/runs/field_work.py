@@ -2,7 +2,7 @@
 
 The work is cut into tasks: a piece of points of one set at one instant, the traction, the
 streamlines, some points of the check. Every rank takes the next task as it becomes free; what is
-finished is gathered (runs/gathering.py), made safe every half minute, and written by rank 0. Tasks
+finished is gathered (runs/sharing.py), made safe every half minute, and written by rank 0. Tasks
 do not depend on the number of ranks, and neither does any number; a run that is resumed does those
 that no part holds.
 """
@@ -23,9 +23,8 @@ from qbxstokes.io.store import Work, check_disk
 from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
-from qbxstokes.runs.gathering import Crew, Gathering, notes
 from qbxstokes.runs.parallel import HandOut, agree, on_root
-from qbxstokes.runs.shared_rows import rows_by_all
+from qbxstokes.runs.sharing import Crew, Gathering, notes, rows_by_all
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
 from qbxstokes.typing import Array, Integers

@@ -23,7 +23,7 @@ from qbxstokes.runs.destination import identity_of, working_folder
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.progress import Advance
 from qbxstokes.runs.recording import Recording
-from qbxstokes.runs.shared_rows import RowTeam, ordered, with_team
+from qbxstokes.runs.sharing import RowTeam, ordered, with_team
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.compare import Comparison, compare_samples, shear_rate
 from qbxstokes.simulation.from_case import pointed

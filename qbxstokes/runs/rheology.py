@@ -19,7 +19,7 @@ from qbxstokes.plots.style import whole_file
 from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.runs.parallel import on_root
-from qbxstokes.runs.shared_rows import RowTeam, with_team
+from qbxstokes.runs.sharing import RowTeam, with_team
 from qbxstokes.simulation.hydrodynamics import Workshop, hydrodynamics_of
 from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology

@@ -20,7 +20,6 @@ from qbxstokes.io.store import Work, open_work, reopen
 from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate, estimate
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
-from qbxstokes.runs.gathering import Crew, Gathering, read_whole, seconds_between
 from qbxstokes.runs.parallel import interrupted, on_root
 from qbxstokes.runs.plan_report import around
 from qbxstokes.runs.progress import compilation_told
@@ -35,7 +34,7 @@ from qbxstokes.runs.report import (
     size,
     vector,
 )
-from qbxstokes.runs.shared_rows import ALONE
+from qbxstokes.runs.sharing import ALONE, Crew, Gathering, read_whole, seconds_between
 from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
 from qbxstokes.runs.sweep_work import BLOCKS, Todo, form_models, todo_of, work_on_blocks
 

@@ -17,10 +17,10 @@ from qbxstokes.io.cache import Cache, open_cache
 from qbxstokes.io.store import Work
 from qbxstokes.io.sweep_result import Layout
 from qbxstokes.runs import block
-from qbxstokes.runs.gathering import Crew, Keeper, notes
 from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.parallel import HandOut
 from qbxstokes.runs.progress import Clock
+from qbxstokes.runs.sharing import Crew, Keeper, notes
 from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.body import Body
