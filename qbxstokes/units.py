@@ -106,27 +106,26 @@ class Scales:
             if not value.check(scale.dimensionality):
                 raise ValueError
         except Exception:
-            raise ValueError(f"is no {self.example(scale)}") from None
+            unit = (self.shown(units) or "?")[1]
+            raise ValueError(f"is no quantity in units such as {unit}") from None
         return float((value / scale).to("dimensionless").magnitude)
 
-    def example(self, scale: Any) -> str:
-        """Words for a dimension: a unit that would do."""
-        return f"quantity in units such as {self.shown(scale)[1]}"
-
-    def shown(self, scale: Any) -> tuple[float, str]:
-        """A scale as a number and the unit it is shown in: of those that the case gives.
+    def shown(self, units: str) -> tuple[float, str] | None:
+        """The scale of units as a number and the physical unit that it is shown in; None as there.
 
         Lengths are in the unit of `units.length`, times in that of `units.time` or of the rate;
         forces in a unit that suits their scale, stresses in Pa.
         """
-        units, powers = _registry(), dict(scale.dimensionality)
+        if (scale := self.scale(units)) is None:
+            return None
+        registry, powers = _registry(), dict(scale.dimensionality)
         mass, length, time = (int(powers.get(f"[{d}]", 0)) for d in ("mass", "length", "time"))
         if (mass, length, time) == (1, -1, -2):
             unit = scale.to("Pa").to_compact().units
         elif (mass, length, time) == (1, -1, -1):
             unit = self.viscosity.units
         else:
-            unit = units.Unit("")
+            unit = registry.Unit("")
             if mass:
                 force = (self.viscosity * self.length**2 / self.time).to("N").to_compact().units
                 unit, length, time = force**mass, length - mass, time + 2 * mass
@@ -139,10 +138,8 @@ class Scales:
         """The scales that are known, as texts: length, time, velocity, force, ..."""
         found = {}
         for name, units in _NAMES.items():
-            scale = self.scale(units)
-            if scale is not None:
-                number, unit = self.shown(scale)
-                found[name] = f"{number:.6g} {unit}"
+            if (shown := self.shown(units)) is not None:
+                found[name] = "{:.6g} {}".format(*shown)
         return found
 
     @property

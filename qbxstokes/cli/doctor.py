@@ -5,14 +5,13 @@ import os
 import platform
 import shutil
 import tempfile
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from qbxstokes import __version__
 from qbxstokes.folders import default_folder, folder_of_compiled, unwritable
-from qbxstokes.runs.report import WIDTH, counted, size
+from qbxstokes.runs.report import beside, counted, size
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Findings on versions, MPI, PETSc, threads, write access and the cache."""
-    findings = [
+    return [
         Finding("qbxstokes", True, f"{__version__}, Python {platform.python_version()}"),
         _package("numpy"),
         _package("scipy"),
@@ -44,7 +43,6 @@ def examine() -> list[Finding]:
         _cache(),
         _compiled(),
     ]
-    return findings
 
 
 def report(findings: Sequence[Finding]) -> str:
@@ -52,15 +50,8 @@ def report(findings: Sequence[Finding]) -> str:
     lines = []
     for finding in findings:
         head = f"{'ok  ' if finding.ok else 'BAD '} {finding.name:18} "
-        for text, start in ((finding.text, head), (finding.advice, " " * len(head))):
-            lines += textwrap.wrap(
-                text,
-                WIDTH,
-                initial_indent=start,
-                subsequent_indent=" " * len(head),
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
+        lines += beside(head, finding.text, len(head))
+        lines += beside(" " * len(head), finding.advice, len(head))
     return "\n".join(lines)
 
 

@@ -70,8 +70,8 @@ class Held(Mapping[str, Any]):
         if "units" in self._about.get(name, {}):
             return str(self._about[name]["units"])
         units = units_in_groups(name)
-        scale = self._scales.scale(units) if self._scales else None
-        return self._scales.shown(scale)[1] if self._scales and scale is not None else units
+        shown = self._scales.shown(units) if self._scales else None
+        return shown[1] if shown else units
 
     def told(self, name: str) -> str:
         """An array's name with its units."""
@@ -231,19 +231,13 @@ def physical(result: Result) -> Result:
     return found
 
 
-def shown(units: Any, scales: Scales) -> tuple[float, str] | None:
-    """Factor and physical unit for units of this program; None where there are none."""
-    scale = scales.scale(str(units))
-    return None if scale is None else scales.shown(scale)
-
-
 def _array(data: AnyArray, about: Mapping[str, Any], scales: Scales) -> AnyArray:
     units = str(about.get("units", ""))
     pair = _matrix(units, scales)
     if pair is not None and data.ndim > 1 and data.shape[-1] == data.shape[-2]:
         parts = np.sqrt(np.tile(np.repeat([pair[0][0], pair[1][0]], 3), data.shape[-1] // 6))
         return data * np.outer(parts, parts)
-    found = shown(units, scales)
+    found = scales.shown(units)
     return data if found is None else data * found[0]
 
 
@@ -252,14 +246,14 @@ def _matrix(units: str, scales: Scales) -> Any:
     first = units.partition(", ")[0]
     if first == units or first not in ("mu c", "1/(mu c)"):
         return None
-    pair = shown(first, scales), shown(first.replace("c", "c^3"), scales)
+    pair = scales.shown(first), scales.shown(first.replace("c", "c^3"))
     return pair if all(pair) else None
 
 
 def _table(data: AnyArray, about: Mapping[str, Any], scales: Scales) -> AnyArray:
     table = data.copy()
     for name in table.dtype.names or ():
-        if found := shown(about.get(f"{name}: units", ""), scales):
+        if found := scales.shown(about.get(f"{name}: units", "")):
             table[name] *= found[0]
     return table
 
@@ -269,7 +263,7 @@ def _told(about: Mapping[str, Any], scales: Scales) -> dict[str, Any]:
     told = dict(about)
     for name, value in about.items():
         if name == "units" or name.endswith(": units"):
-            pair, single = _matrix(str(value), scales), shown(value, scales)
+            pair, single = _matrix(str(value), scales), scales.shown(value)
             if pair or single:
                 told[name] = ", ".join(unit for _, unit in pair or [single])
     return told
@@ -279,7 +273,7 @@ def _group(tree: Mapping[str, Any], scales: Scales) -> dict[str, Any]:
     """The arrays of nested groups, by what their names stand for."""
     found: dict[str, Any] = {}
     for name, value in tree.items():
-        known = shown(units_in_groups(name), scales)
+        known = scales.shown(units_in_groups(name))
         if isinstance(value, Mapping):
             found[name] = _group(value, scales)
         elif known and isinstance(value, np.ndarray) and value.dtype.kind == "f":

@@ -150,16 +150,19 @@ class ResultWriter:
         write_tree(self.file.create_group("provenance"), provenance or {})
 
     def append(
-        self, samples: Mapping[str, ArrayLike], about: Mapping[str, Quantity] = RECORDABLE
+        self,
+        rows: Mapping[str, ArrayLike],
+        about: Mapping[str, Quantity] = RECORDABLE,
+        group: str = "",
     ) -> None:
-        """Append samples: `time` (n,) and any quantities (n, ...); the same ones every time.
+        """Append to datasets of a group: `time` (n,) and quantities (n, ...), the same every time.
 
         Raises OutputError if they cannot be stored.
         """
         with self._writing():
-            for name, values in samples.items():
-                known = TIME if name == "time" else about[name]
-                self._extended(name, np.asarray(values, dtype=float), known)
+            for name, values in rows.items():
+                known = TIME if name == "time" and not group else about[name]
+                self._extended(f"{group}{name}", np.asarray(values, dtype=float), known)
 
     def put(self, arrays: Mapping[str, ArrayLike], about: Mapping[str, Quantity]) -> None:
         """Write whole arrays, each once, as datasets at the root; raises OutputError."""
@@ -168,14 +171,6 @@ class ResultWriter:
                 data = self.file.create_dataset(name, data=values, track_times=False)
                 describe(data, about[name])
                 self.axes[name] = about[name].axes(data.ndim)
-
-    def append_events(
-        self, name: str, rows: Mapping[str, ArrayLike], about: Mapping[str, Quantity]
-    ) -> None:
-        """Append rows to the group `events/NAME`: `time` (n,) and quantities (n, ...)."""
-        with self._writing():
-            for key, values in rows.items():
-                self._extended(f"events/{name}/{key}", np.asarray(values, float), about[key])
 
     @contextmanager
     def _writing(self) -> Iterator[None]:

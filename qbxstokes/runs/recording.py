@@ -171,7 +171,7 @@ class Recording:
         for name, rows in _joined(self._rows(), _PIECE):
             if name != SAMPLES:
                 columns = of_event(name, coupled=self._plan.simulation.coupled)
-                writer.append_events(name, split_columns(rows, columns), columns)
+                writer.append(split_columns(rows, columns), columns, f"events/{name}/")
                 continue
             data = split_columns(rows, self._columns)
             stored = {"time": data["time"], **{key: data[key] for key in quantities}}

@@ -29,15 +29,21 @@ def section(heading: str, rows: Rows) -> str:
     column = min(_WIDEST, max([_LABEL, *(len(label) + 2 for label, _ in rows)]))
     lines = []
     for label, text in rows:
-        lines += textwrap.wrap(
-            text,
-            WIDTH,
-            initial_indent=f"  {label:{column - 2}}  " if label else "  ",
-            subsequent_indent=" " * (2 + column) if label else "    ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
+        head, indent = (f"  {label:{column - 2}}  ", 2 + column) if label else ("  ", 4)
+        lines += beside(head, text, indent)
     return "\n".join([heading, *lines]) if lines else ""
+
+
+def beside(head: str, text: str, indent: int) -> list[str]:
+    """Lines of a text that begins after a head and goes on with an indentation."""
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=head,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def render(title: str, name: str, sections: Mapping[str, Rows]) -> str:
