@@ -14,7 +14,6 @@ from qbxstokes.case.load import load_case
 from qbxstokes.petsc import session
 from qbxstokes.runs.block import lanes_of
 from qbxstokes.runs.cost import begun, estimate
-from qbxstokes.runs.sweep import layout_of
 from qbxstokes.runs.sweep_blocks import Scenes
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.lanes import LaneRun
@@ -30,7 +29,7 @@ def scenes_of(text: str, folder: Path) -> Scenes:
 
 def test_parts_add_up_and_ranks_share_what_can_be_shared(tmp_path: Path) -> None:
     scenes = Scenes(load_case(ROOT / "cases" / "benchmarks" / "ten_million.yaml"))
-    cost = estimate(scenes, layout_of(scenes).row_bytes)
+    cost = estimate(scenes)
     for ranks in (1, 7, 1000):
         assert cost.seconds(ranks) > (cost.integration + cost.output) / ranks
     assert cost.seconds(1) > 100 * cost.seconds(1_000_000_000)

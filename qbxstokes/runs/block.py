@@ -12,12 +12,12 @@ from qbxstokes.errors import ConvergenceError, FlowError, SceneError
 from qbxstokes.flows.check import check_singularities
 from qbxstokes.flows.domain import outside
 from qbxstokes.geometry import rotation
-from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH, Layout
+from qbxstokes.io.sweep_result import DONE, FAILED, REASON_LENGTH
 from qbxstokes.motion.contacts import Contact
 from qbxstokes.petsc.trajectory import Checkpoint, Trajectory
 from qbxstokes.runs.sharing import Keeper
 from qbxstokes.runs.sweep_blocks import Scenes
-from qbxstokes.runs.sweep_layout import Swept, coordinates_of
+from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.simulation.assembly import assemble
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.from_case import simulation_of
@@ -46,9 +46,10 @@ class BlockResult:
     evaluations: int = 0
 
     @classmethod
-    def empty(cls, index: AnyArray, times: Array, scenes: Swept, layout: Layout) -> Self:
+    def empty(cls, index: AnyArray, times: Array, scenes: Swept) -> Self:
         """Results at times (T,) that are still to be filled in."""
-        n, shapes = len(index), {name: layout.about(name).shape for name in layout.quantities}
+        n, layout = len(index), scenes.layout
+        shapes = {name: layout.about(name).shape for name in layout.quantities}
         return cls(
             index,
             {name: np.full(n, np.nan) for name in scenes.columns},
@@ -67,13 +68,14 @@ class BlockResult:
             "nearest": self.nearest,
         }
 
-    def rows(self, scenes: Swept, layout: Layout) -> dict[str, AnyArray]:
+    def rows(self, scenes: Swept) -> dict[str, AnyArray]:
         """The rows of the file."""
+        layout = scenes.layout
         table = np.zeros(len(self.index), dtype=layout.dtype)
         for name in layout.dtype.names or ():
             if layout.dtype[name].kind == "f":
                 table[name] = self.summary.get(name, np.nan)
-        for name, column in coordinates_of(scenes, self.index).items():
+        for name, column in scenes.coordinates(self.index).items():
             table[name] = column
         table["status"] = DONE
         table["status"][list(self.failed)] = FAILED

@@ -284,10 +284,10 @@ def block_seconds(scenes: Swept) -> Array:
     return np.asarray(scenes.turns * (BLOCK + weight * rate))
 
 
-def estimate(scenes: Swept, row_bytes: int) -> Estimate:
+def estimate(scenes: Swept) -> Estimate:
     """Cost of the whole sweep; begins some of its blocks."""
     sizes, per_block = scenes.block_sizes(), block_seconds(scenes)
-    n = scenes.space.size
+    n, row_bytes = scenes.space.size, scenes.layout.row_bytes
     # Where bodies are what is swept, forming them is all the work of a block.
     bodies = scenes.turns * len(scenes.bodies[1]) if isinstance(scenes, Scenes) else 0
     held = min(8 * scenes.samples * int(sizes.max()) * 60, BLOCK_BYTES)

@@ -17,7 +17,6 @@ import numpy as np
 from qbxstokes.case.document import plain
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.errors import ConvergenceError, QbxStokesError
-from qbxstokes.io.sweep_result import Layout
 from qbxstokes.petsc.session import SOLVER_OPTIONS, own_options
 from qbxstokes.quantities import BODY, MOTION
 from qbxstokes.runs.block import BlockResult, check_whole, summarise
@@ -62,15 +61,15 @@ class Measurer:
     stop.
     """
 
-    def __init__(self, scenes: Any, layout: Layout, poke: Callable[[], bool]) -> None:
-        self._scenes, self._layout, self._poke = scenes, layout, poke
+    def __init__(self, scenes: Any, poke: Callable[[], bool]) -> None:
+        self._scenes, self._poke = scenes, poke
         self._known: dict[str, tuple[Body, float]] = {}  # with the time that their set-up takes
 
     def compute(self, number: int, only: list[int] | None) -> BlockResult:
         """The results of the one trajectory or body of a block, or why it has none."""
-        scenes, layout = self._scenes, self._layout
-        times = np.full(layout.samples, np.nan)
-        result = BlockResult.empty(scenes.block(number).index, times, scenes, layout)
+        scenes = self._scenes
+        times = np.full(scenes.samples, np.nan)
+        result = BlockResult.empty(scenes.block(number).index, times, scenes)
         try:
             points = np.unravel_index(number, scenes.space.shape)
             loaded = scenes.loaded.at([int(point) for point in points])

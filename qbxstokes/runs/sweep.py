@@ -35,7 +35,8 @@ from qbxstokes.runs.report import (
     vector,
 )
 from qbxstokes.runs.sharing import ALONE, Crew, Gathering, read_whole, seconds_between
-from qbxstokes.runs.sweep_layout import Swept, layout_of, scales_of, swept_scenes
+from qbxstokes.runs.sweep_blocks import swept_scenes
+from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.runs.sweep_work import BLOCKS, Todo, form_models, todo_of, work_on_blocks
 
 if TYPE_CHECKING:
@@ -51,12 +52,12 @@ def run(job: Job) -> dict[str, Any]:
     loaded = job.loaded
     scenes = swept_scenes(loaded)
     seconds_between(loaded)
-    layout, merge = layout_of(scenes), loaded.case.output.merge
+    merge = loaded.case.output.merge
     cut = [scenes.block_size, scenes.blocks]
     identity = identity_of(loaded, stepper_options(job.PETSc), blocks=cut)
 
     def left(work: Work) -> Todo:
-        store.check_room(work.target, layout, merge)
+        store.check_room(work.target, scenes.layout, merge)
         return todo_of(scenes, work)
 
     def reopened(done: Path) -> Work | None:
@@ -67,21 +68,21 @@ def run(job: Job) -> dict[str, Any]:
             if np.all(file["table"].fields("status")[()] == store.DONE):
                 return None
         work = open_work(done, identity, overwrite=True)
-        _take_apart(scenes, layout, work)
+        _take_apart(scenes, work)
         return work
 
     with working_folder(job, identity, left, reopened) as (work, found):
         if work is None:
             return {"result": str(found), "complete": True, "failed": 0, "finished_before": True}
-        return _computed(job, scenes, layout, work, found)
+        return _computed(job, scenes, work, found)
 
 
-def _take_apart(scenes: Swept, layout: store.Layout, work: Work) -> None:
+def _take_apart(scenes: Swept, work: Work) -> None:
     """Make parts of a finished result, as of a run that is to go on with what has failed.
 
     The result stays until a better one takes its place.
     """
-    gathering = Gathering(ALONE, work, BLOCKS, joined=True)
+    gathering, layout = Gathering(ALONE, work, BLOCKS, joined=True), scenes.layout
     names = ["table", *layout.quantities]
     names += ["time"] if layout.quantities and layout.times is None else []
     with store.reading(work.target) as file:
@@ -95,9 +96,7 @@ def _take_apart(scenes: Swept, layout: store.Layout, work: Work) -> None:
     gathering.save()
 
 
-def _computed(
-    job: Job, scenes: Swept, layout: store.Layout, work: Work, todo: Todo
-) -> dict[str, Any]:
+def _computed(job: Job, scenes: Swept, work: Work, todo: Todo) -> dict[str, Any]:
     """What is to be done, done by all ranks and merged by rank 0."""
     comm, options, clock = job.comm, job.options, job.clock
     merge = scenes.loaded.case.output.merge
@@ -110,7 +109,7 @@ def _computed(
         begin = time.perf_counter()
         with compilation_told(comm, speak):
             job.interruption.listening = True
-            work_on_blocks(crew, scenes, layout, todo, models, clock)
+            work_on_blocks(crew, scenes, todo, models, clock)
     except KeyboardInterrupt as stop:
         raise interrupted(work.folder, *stop.args or (2,)) from None
     crew.end()
@@ -120,21 +119,19 @@ def _computed(
             gathering.save()
         if comm.rank:
             list(gathering.collect())
-        return on_root(comm, lambda: _finished(job, scenes, layout, gathering, elapsed))
+        return on_root(comm, lambda: _finished(job, scenes, gathering, elapsed))
 
 
-def _finished(
-    job: Job, scenes: Swept, layout: store.Layout, gathering: Gathering, elapsed: float
-) -> dict[str, Any]:
+def _finished(job: Job, scenes: Swept, gathering: Gathering, elapsed: float) -> dict[str, Any]:
     """On rank 0: the result under its name, with all rows or showing the parts; the summary."""
     work, found, merge = gathering.work, Todo([]), scenes.loaded.case.output.merge
     about = {"identity": json.dumps(work.identity), "shape": list(scenes.space.shape)}
     if not merge:
         gathering.drain()  # the other ranks have made safe what they had
     try:
-        shown = None if merge else _shown(layout, work, found)
-        scales = scales_of(scenes, layout)
-        with store.SweepWriter(work, layout, job.provenance | about, scales, shown) as whole:
+        shown = None if merge else _shown(scenes.space.size, work, found)
+        layout, record = scenes.layout, job.provenance | about
+        with store.SweepWriter(work, layout, record, scenes.scales(), shown) as whole:
             for rows, note in gathering.collect() if merge else ():
                 whole.write_rows(rows.pop("index"), rows)
                 for told in note.get("items", [note]):
@@ -169,10 +166,10 @@ def _finished(
     return {**summary, "parts": str(work.folder)}
 
 
-def _shown(layout: store.Layout, work: Work, found: Todo) -> list[store.Shown]:
+def _shown(total: int, work: Work, found: Todo) -> list[store.Shown]:
     """Which rows of which part the result shows, the latest of each; `found` learns the notes."""
     parts, indices = work.parts(BLOCKS), []
-    latest = np.full(layout.size, -1, dtype=np.int32)  # the part that holds a trajectory
+    latest = np.full(total, -1, dtype=np.int32)  # the part that holds a trajectory
     for number, path in enumerate(parts):
         arrays, note = read_whole(path, ["index"])
         indices.append(arrays["index"])
@@ -204,14 +201,14 @@ def planned(job: Job) -> tuple[dict[str, Any], str]:
     """What would run, as data and as text."""
     loaded, ranks = job.loaded, job.comm.size
     scenes = swept_scenes(loaded)
-    blocks, layout = scenes.blocks, layout_of(scenes)
-    cost = estimate(scenes, layout.row_bytes)
-    text = plan_text(scenes, layout, cost, result_path(loaded), ranks)
+    layout = scenes.layout
+    cost = estimate(scenes)
+    text = plan_text(scenes, cost, result_path(loaded), ranks)
     facts = {
         "trajectories": scenes.space.size,
         "shape": scenes.space.shape,
         "scenes": scenes.size,
-        "blocks": blocks,
+        "blocks": scenes.blocks,
         "operators": cost.bodies or scenes.space.size,
         "bytes_on_disk": layout.bytes,
         "memory_per_rank": cost.memory,
@@ -222,7 +219,7 @@ def planned(job: Job) -> tuple[dict[str, Any], str]:
     return facts, text
 
 
-def plan_text(scenes: Swept, layout: store.Layout, cost: Estimate, target: Any, ranks: int) -> str:
+def plan_text(scenes: Swept, cost: Estimate, target: Any, ranks: int) -> str:
     """What will run, how many, memory, disk and time."""
     seconds = (
         f"about {duration(cost.seconds(ranks))} on {counted(ranks, 'rank')} "
@@ -234,10 +231,10 @@ def plan_text(scenes: Swept, layout: store.Layout, cost: Estimate, target: Any, 
         more = f", in parts that stay in {parts_of(target).name}"
     needs = [
         ("memory", f"about {size(cost.memory)} on each rank"),
-        ("disk", f"{size(layout.bytes)} for {target}{more}"),
+        ("disk", f"{size(scenes.layout.bytes)} for {target}{more}"),
         ("time", seconds),
     ]
-    runs = _runs(scenes, layout, cost)
+    runs = _runs(scenes, cost)
     return _text(scenes, {"Runs": runs, "Skips": listed(scenes.skips), "Needs": needs}) + "\n"
 
 
@@ -248,7 +245,7 @@ def _text(scenes: Swept, sections: Mapping[str, Rows]) -> str:
     return render(title, str(loaded.path), {"Scene": scene, "Varies": _axes(scenes), **sections})
 
 
-def _runs(scenes: Swept, layout: store.Layout, cost: Estimate) -> Rows:
+def _runs(scenes: Swept, cost: Estimate) -> Rows:
     """How many, in which parts, and what is kept of them."""
     shape = " x ".join(str(n) for n in scenes.space.shape)
     yield scenes.nouns[1], f"{counted(scenes.space.size, *scenes.nouns)} ({shape})"
@@ -258,7 +255,7 @@ def _runs(scenes: Swept, layout: store.Layout, cost: Estimate) -> Rows:
         sizes = scenes.block_sizes()
         yield "scenes", f"{scenes.size}, with {counted(cost.bodies, 'operator')} to form"
         yield "blocks", f"{scenes.blocks} of {int(sizes.min())} to {int(sizes.max())}"
-    stored = ", ".join(layout.quantities) if layout.quantities else "the table of summaries alone"
+    stored = ", ".join(scenes.quantities) if scenes.quantities else "the table of summaries alone"
     yield "samples", f"{scenes.samples} each; stored: {stored}"
 
 

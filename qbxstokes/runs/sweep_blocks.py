@@ -23,10 +23,10 @@ from qbxstokes.case.sweep import Column
 from qbxstokes.case.values import Key
 from qbxstokes.geometry.registry import SHAPE_KEYS
 from qbxstokes.quantities import COLUMNS, MEASURED
-from qbxstokes.quantity import Quantity
 from qbxstokes.runs.plan import NO_AXIS, NO_ZEROS, MotionPlan, make_plan, subject_to_forces
+from qbxstokes.runs.sweep_layout import Block, BodyScenes, CoupledScenes, Swept
 from qbxstokes.simulation.from_case import samples_of
-from qbxstokes.typing import Array, Integers
+from qbxstokes.typing import Integers
 
 STOKES: Key = ("body", "stokes_number")
 _POSITION: Key = ("start", "position")
@@ -54,59 +54,14 @@ class Scene:
     plan: MotionPlan
 
 
-@dataclass(frozen=True)
-class Block:
-    """Trajectories integrated together: pieces of one scene or of several."""
-
-    number: int
-    pieces: tuple[tuple[int, Integers], ...]
-
-    @property
-    def index(self) -> Integers:
-        """Numbers of all its trajectories, piece after piece."""
-        return np.concatenate([index for _, index in self.pieces])
-
-
-class Alone:
-    """What a sweep is of where each scene is computed by itself: what `Scenes` says, of them.
-
-    turns: how many times each is.
-    """
-
-    nouns = "scene", "scenes"
-    alone, block_size, turns = True, 1, 1
-    samples = 0
-    common_times: Array | None = None
-    quantities: tuple[str, ...] = ()
-    columns: dict[str, Quantity]
-    skips: tuple[str, ...]  # what is left out and why, as far as the first tells for all
-
-    def __init__(self, loaded: LoadedCase) -> None:
-        assert loaded.space is not None
-        self.loaded, self.space = loaded, loaded.space
-        self.size = self.blocks = self.space.size
-
-    def block(self, number: int) -> Block:
-        """A block by its number."""
-        return Block(number, ((number, np.array([number])),))
-
-    def block_sizes(self) -> Integers:
-        """Scenes per block."""
-        return np.ones(self.size, dtype=np.int64)
-
-
-class Scenes:
-    """All scenes and blocks of a sweep.
-
-    alone: whether each trajectory is computed by itself. turns: how many times it is.
-    """
+class Scenes(Swept):
+    """All scenes and blocks of a sweep of motions."""
 
     nouns = "trajectory", "trajectories"
-    alone, turns = False, 1
 
     def __init__(self, loaded: LoadedCase) -> None:
-        assert loaded.space is not None
-        self.loaded, self.space, self._time = loaded, loaded.space, loaded.case.time
+        super().__init__(loaded)
+        self._time = loaded.case.time
         for name, right in _SINGLE.items():
             if getattr(loaded.case, name) != type(loaded.case).declared[name].default:
                 raise loaded.error(name, "belongs to a single motion, not to a sweep", right)
@@ -123,16 +78,17 @@ class Scenes:
         self._latest: Scene | None = None
         self._classes = [self._classes_of(axis) for axis in range(len(self.space.axes))]
         self.shape = tuple(len(classes) for classes in self._classes)
-
-    @property
-    def size(self) -> int:
-        """Number of scenes."""
-        return math.prod(self.shape)
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks."""
-        return int(self._pieces[0][-1]) + 1
+        self.size = math.prod(self.shape)
+        self.blocks = int(self._pieces[0][-1]) + 1
+        first, times = self.scene(0).plan, {"time", "flow", "start", *SHAPE_KEYS}
+        self.columns = COLUMNS | MEASURED if self.alone else COLUMNS
+        self.quantities = first.quantities if section.store == "samples" else ()
+        varied = {part for _, c in self.space.columns if self._makes_scene(c) for part in c.key[:2]}
+        if not varied & (times if self._time.periods is not None else {"time"}):
+            self.common_times = first.times
+        self.skips = tuple(text for text in first.skips if text not in (NO_AXIS, NO_ZEROS))
+        if self.centred:
+            self.skips += ("translation: no body leaves its place in a flow that is odd about it",)
 
     @cached_property
     def sizes(self) -> Integers:
@@ -220,28 +176,6 @@ class Scenes:
         self._latest = Scene(number, loaded, make_plan(loaded, pushed=self.pushed))
         return self._latest
 
-    @property
-    def columns(self) -> dict[str, Quantity]:
-        """What the table says of a trajectory after its swept values."""
-        return COLUMNS | MEASURED if self.alone else COLUMNS
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Those that are stored at every instant."""
-        section = self.loaded.case.sweep
-        return self.scene(0).plan.quantities if section.store == "samples" else ()
-
-    @property
-    def common_times(self) -> Array | None:
-        """The instants of all trajectories, None where scenes have their own."""
-        time = self._time
-        changing = {"time"} if time.periods is None else {"time", "flow", "start", *SHAPE_KEYS}
-        varies = any(
-            self._makes_scene(column) and changing & set(column.key[:2])
-            for _, column in self.space.columns
-        )
-        return None if varies else self.scene(0).plan.times
-
     @cached_property
     def pushed(self) -> bool:
         """Whether forces enter any motion of the sweep: its bodies serve every Stokes number."""
@@ -269,14 +203,6 @@ class Scenes:
         if flow is None or scene.plan.simulation.kind != "table":
             return False
         return bool(flow.odd_about(scene.plan.simulation.position[0]))
-
-    @property
-    def skips(self) -> tuple[str, ...]:
-        """What is left out and why, as far as the first trajectory tells for all."""
-        skips = tuple(text for text in self.scene(0).plan.skips if text not in (NO_AXIS, NO_ZEROS))
-        if self.centred:
-            skips += ("translation: no body leaves its place in a flow that is odd about it",)
-        return skips
 
     # -- which values make a scene ------------------------------------------------------------
 
@@ -370,3 +296,10 @@ def _changes_body(column: Column) -> bool:
         return not column.numeric
     first, second = (*column.key[:2], None)[:2]
     return first == "hydrodynamics" or (first == "body" and second in SHAPE_KEYS)
+
+
+def swept_scenes(loaded: LoadedCase) -> Swept:
+    """The scenes of a sweep: of motions, of bodies, or of bodies that share a fluid."""
+    if loaded.case.coupled:
+        return CoupledScenes(loaded)
+    return BodyScenes(loaded) if loaded.case.task == "body" else Scenes(loaded)

@@ -15,7 +15,6 @@ import numpy as np
 from qbxstokes.errors import QbxStokesError
 from qbxstokes.io.cache import Cache, open_cache
 from qbxstokes.io.store import Work
-from qbxstokes.io.sweep_result import Layout
 from qbxstokes.runs import block
 from qbxstokes.runs.measure import Measurer
 from qbxstokes.runs.parallel import HandOut
@@ -124,19 +123,19 @@ def form_models(
 
 
 def work_on_blocks(
-    crew: Crew, scenes: Swept, layout: Layout, todo: Todo, models: tuple[Cache, Any], clock: Clock
+    crew: Crew, scenes: Swept, todo: Todo, models: tuple[Cache, Any], clock: Clock
 ) -> None:
     """Compute blocks until none is left; raises Interrupted after what there is was made safe."""
     order, cost = _order(scenes, todo, crew.gathering.work)
     counters, total = crew.counters, float(cost.sum()) or 1.0
-    computer: _Together | Measurer = Measurer(scenes, layout, crew.poke)
+    computer: _Together | Measurer = Measurer(scenes, crew.poke)
     if isinstance(scenes, Scenes) and not scenes.alone:
-        computer = _Together(scenes, layout, *models, crew)
+        computer = _Together(scenes, *models, crew)
     for place in crew.numbers(len(order)):
         number = order[place]
         with clock.part("blocks"):
             result = computer.compute(number, todo.mend.get(number))
-            rows, note = result.rows(scenes, layout), result.note(number, number in todo.mend)
+            rows, note = result.rows(scenes), result.note(number, number in todo.mend)
         crew.stop_if_asked()
         with clock.part("output"):
             crew.gathering.add(rows, note)
@@ -170,24 +169,23 @@ class _Together:
     def __init__(
         self,
         scenes: Scenes,
-        layout: Layout,
         cache: Cache,
         errors: dict[int, QbxStokesError],
         crew: Crew,
     ) -> None:
-        self._scenes, self._layout, self._errors, self._crew = scenes, layout, errors, crew
+        self._scenes, self._errors, self._crew = scenes, errors, crew
         self._workshop = Workshop(cache=cache)
         self._body, _ = scenes.bodies
         self._bodies: dict[int, Body] = {}
 
     def compute(self, number: int, only: list[int] | None) -> block.BlockResult:
         """A block, or what is to be mended of it; trajectories without a scene come last."""
-        scenes, layout = self._scenes, self._layout
+        scenes = self._scenes
         sweep = scenes.loaded.case.sweep
         simulations: list[Simulation] = []
         sound: list[AnyArray] = []
         lost: dict[int, str] = {}
-        times = np.full(layout.samples, np.nan)
+        times = np.full(scenes.samples, np.nan)
         for scene, members in scenes.block(number).pieces:
             chosen = members if only is None else members[np.isin(members, only)]
             if not len(chosen):
@@ -199,7 +197,7 @@ class _Together:
             except QbxStokesError as error:
                 lost |= dict.fromkeys(chosen.tolist(), " ".join(str(error).split()))
         index = np.concatenate([*sound, np.array(list(lost), dtype=np.int64)]).astype(np.int64)
-        result = block.BlockResult.empty(index, times, scenes, layout)
+        result = block.BlockResult.empty(index, times, scenes)
         result.failed = dict(enumerate(lost.values(), len(index) - len(lost)))
         gathering, poke = self._crew.gathering, self._crew.poke
         keeper = Keeper(gathering, str(number), [] if only is None else index.tolist())
