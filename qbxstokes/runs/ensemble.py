@@ -30,7 +30,7 @@ from qbxstokes.runs.destination import identity_of, result_path, working_folder
 from qbxstokes.runs.parallel import HandOut, on_root
 from qbxstokes.runs.progress import compilation_told
 from qbxstokes.runs.report import counted, duration, render, size
-from qbxstokes.runs.sharing import Crew, Gathering, notes, seconds_between
+from qbxstokes.runs.sharing import Crew, Gathering, Item, notes, seconds_between
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.ensemble import BLOCK, Ensemble, turns_with_inertia
 from qbxstokes.simulation.ensemble_means import Found, Sums, added, slenderness
@@ -193,10 +193,10 @@ def run(job: Job) -> dict[str, Any]:
         begin = time.perf_counter()
         sampling = _follow(job, ensemble, units, left, gathering)
         with job.clock.part("output"):
-            if comm.rank:
-                list(gathering.collect())
             told = sampling, len(units), begin
-            return on_root(comm, lambda: _write(job, ensemble, swept, folder, gathering, *told))
+            return gathering.concluded(
+                lambda items: _write(job, ensemble, swept, folder, items, *told)
+            )
 
 
 def _follow(
@@ -235,7 +235,7 @@ def _write(
     ensemble: Ensemble,
     swept: dict[str, AnyArray],
     folder: Work,
-    gathering: Gathering,
+    items: Iterator[Item],
     sampling: dict[str, Any],
     count: int,
     begin: float,
@@ -243,12 +243,9 @@ def _write(
     """On rank 0: the sums of all units in their order, into the result file; the summary."""
     held: dict[int, dict[str, AnyArray]] = {}
     trace = 0.0
-    try:
-        for arrays, note in gathering.collect():
-            trace = max(trace, float(arrays.pop("trace")[0]))
-            held[note["unit"]] = arrays
-    finally:
-        gathering.drain()
+    for arrays, note in items:
+        trace = max(trace, float(arrays.pop("trace")[0]))
+        held[note["unit"]] = arrays
     found = ensemble.result((held.pop(number) for number in range(count)), sampling)
     ratios = np.array([body.effective_ratio for body in ensemble.bodies])
     stokes = np.array([float(body.stokes_number) for body in ensemble.bodies])

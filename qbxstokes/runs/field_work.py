@@ -9,7 +9,7 @@ that no part holds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,7 +24,7 @@ from qbxstokes.io.writer import ResultWriter
 from qbxstokes.runs.field_lines import streamlines
 from qbxstokes.runs.field_targets import Targets, surface_angles, targets_of
 from qbxstokes.runs.parallel import HandOut, agree, on_root
-from qbxstokes.runs.sharing import Crew, Gathering, notes, rows_by_all
+from qbxstokes.runs.sharing import Crew, Gathering, Item, notes, rows_by_all
 from qbxstokes.simulation.flow_around import AroundBody, Instant
 from qbxstokes.simulation.from_case import body_of
 from qbxstokes.typing import Array, Integers
@@ -121,44 +121,36 @@ class FieldWork:
     def write(self, writer: ResultWriter | None) -> dict[str, Any]:
         """Evaluate everything; writer: the open result file of rank 0, None on the others.
 
-        Returns on rank 0 what the summary says: errors, points by source, iterations. An error is
-        raised on all ranks.
+        Returns what the summary says: errors, points by source, iterations. An error is raised on
+        all ranks.
         """
         with self.clock.part("set-up"):  # on a grid that resolves the flow at first
             self.solution.form(self.instants[0], partial(rows_by_all, self.comm))
         done = on_root(self.comm, self._finished)
         self._share_out(set(done))
-        if writer is None:
-            list(self._gathering.collect())
-            return {}
-        whole: dict[tuple[str, int], Any] = {}
-        found = Found()
-        try:
-            group = self._lay_out(writer)
-            with self.clock.part("output"):
-                self._take(group, whole, found)
-        finally:
-            self._gathering.drain()
-        return self._conclude(group, whole, found)
+        return self._gathering.concluded(lambda items: self._taken(writer, items))
 
     def around(self, instant: Instant) -> Any:
         """The `FlowAround` or `FlowAmong` of the instant; solved again only for another one."""
         with self.clock.part("integral equation"):
             return self.solution.at(instant)
 
-    def _take(self, group: Any, whole: dict[tuple[str, int], Any], found: Found) -> None:
-        """On rank 0: write what all ranks hold; `whole` gets what only all of it can say."""
-        for arrays, note in self._gathering.collect():
-            if note["key"] != self._key:
-                continue
-            found.join(note["found"])
-            task = Task(*note["task"])
-            if task.kind == "points":
-                name = self.targets[task.target].name
-                store.put_rows(group[name], task.instant, task.begin, arrays)
-            elif arrays:
-                part: str = self.surfaces[task.target] if task.kind == "surface" else task.kind
-                whole[part, task.begin if task.kind == "error map" else task.instant] = arrays
+    def _taken(self, writer: Any, items: Iterator[Item]) -> dict[str, Any]:
+        """On rank 0: write what all ranks hold, and what only all of it can say; sum up."""
+        whole, found, group = dict[tuple[str, int], Any](), Found(), self._lay_out(writer)
+        with self.clock.part("output"):
+            for arrays, note in items:
+                if note["key"] != self._key:
+                    continue
+                found.join(note["found"])
+                task = Task(*note["task"])
+                if task.kind == "points":
+                    name = self.targets[task.target].name
+                    store.put_rows(group[name], task.instant, task.begin, arrays)
+                elif arrays:
+                    part: str = self.surfaces[task.target] if task.kind == "surface" else task.kind
+                    whole[part, task.begin if task.kind == "error map" else task.instant] = arrays
+        return self._conclude(group, whole, found)
 
     def _finished(self) -> list[int]:
         """Numbers of the tasks that parts of earlier runs hold; raises OutputError (disk)."""

@@ -26,7 +26,7 @@ from qbxstokes.errors import QbxStokesError, ResultFileError
 from qbxstokes.io.store import DamagedPart, Work, read_part
 from qbxstokes.petsc.launch import finish_asleep
 from qbxstokes.qbx.operator import layer_rows
-from qbxstokes.runs.parallel import HandOut, interrupted
+from qbxstokes.runs.parallel import HandOut, interrupted, on_root
 from qbxstokes.runs.progress import Progress
 from qbxstokes.typing import AnyArray
 
@@ -93,14 +93,11 @@ class Gathering:
         self.saved_at = time.monotonic()
 
     def collect(self) -> Iterator[Item]:
-        """On rank 0 all that is finished, part by part; the other ranks hand over what they hold.
+        """On rank 0 all that is finished, part by part, then what the ranks have handed over.
 
         Raises ResultFileError for a part that is damaged: it is removed, and a resumed run does its
         work again.
         """
-        if self.comm.rank:
-            self._messages.send(self._items, dest=0, tag=_TAG)
-            return
         for path in self.work.parts(self._kind):
             rows, note = read_whole(path)
             yield from [(rows, note)] if rows else zip(note["held"], note["items"], strict=True)
@@ -109,10 +106,22 @@ class Gathering:
         while self._waiting:
             yield from self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
 
-    def drain(self) -> None:
-        """Take from the other ranks what nobody wants, so that none of them waits for ever."""
-        while self._waiting:
-            self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
+    def concluded(self, write: Callable[[Iterator[Item]], T]) -> T:
+        """What `write` makes on rank 0 of all that is finished; every rank calls this and knows it.
+
+        An error is raised on all of them; none waits for ever for what nobody takes.
+        """
+        if self.comm.rank:
+            self._messages.send(self._items, dest=0, tag=_TAG)
+
+        def run() -> T:
+            try:
+                return write(self.collect())
+            finally:
+                while self._waiting:
+                    self._messages.recv(source=self._waiting.pop(0), tag=_TAG)
+
+        return on_root(self.comm, run)
 
 
 class Crew:

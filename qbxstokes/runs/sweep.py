@@ -20,7 +20,7 @@ from qbxstokes.io.store import Work, open_work, reopen
 from qbxstokes.quantities import STRESS
 from qbxstokes.runs.cost import START_SECONDS, Estimate, estimate
 from qbxstokes.runs.destination import identity_of, result_path, working_folder
-from qbxstokes.runs.parallel import interrupted, on_root
+from qbxstokes.runs.parallel import interrupted
 from qbxstokes.runs.plan_report import around
 from qbxstokes.runs.progress import compilation_told
 from qbxstokes.runs.report import (
@@ -34,7 +34,7 @@ from qbxstokes.runs.report import (
     size,
     vector,
 )
-from qbxstokes.runs.sharing import ALONE, Crew, Gathering, read_whole, seconds_between
+from qbxstokes.runs.sharing import ALONE, Crew, Gathering, Item, read_whole, seconds_between
 from qbxstokes.runs.sweep_blocks import swept_scenes
 from qbxstokes.runs.sweep_layout import Swept
 from qbxstokes.runs.sweep_work import BLOCKS, Todo, form_models, todo_of, work_on_blocks
@@ -112,43 +112,39 @@ def _computed(job: Job, scenes: Swept, work: Work, todo: Todo) -> dict[str, Any]
             work_on_blocks(crew, scenes, todo, models, clock)
     except KeyboardInterrupt as stop:
         raise interrupted(work.folder, *stop.args or (2,)) from None
+    if not merge:
+        with clock.part("output"):
+            gathering.save()
     crew.end()
     elapsed = time.perf_counter() - begin
     with clock.part("output"):
-        if not merge:
-            gathering.save()
-        if comm.rank:
-            list(gathering.collect())
-        return on_root(comm, lambda: _finished(job, scenes, gathering, elapsed))
+        return gathering.concluded(lambda items: _finished(job, scenes, work, items, elapsed))
 
 
-def _finished(job: Job, scenes: Swept, gathering: Gathering, elapsed: float) -> dict[str, Any]:
+def _finished(
+    job: Job, scenes: Swept, work: Work, items: Iterator[Item], elapsed: float
+) -> dict[str, Any]:
     """On rank 0: the result under its name, with all rows or showing the parts; the summary."""
-    work, found, merge = gathering.work, Todo([]), scenes.loaded.case.output.merge
+    found, merge = Todo([]), scenes.loaded.case.output.merge
     about = {"identity": json.dumps(work.identity), "shape": list(scenes.space.shape)}
-    if not merge:
-        gathering.drain()  # the other ranks have made safe what they had
-    try:
-        shown = None if merge else _shown(scenes.space.size, work, found)
-        layout, record = scenes.layout, job.provenance | about
-        with store.SweepWriter(work, layout, record, scenes.scales(), shown) as whole:
-            for rows, note in gathering.collect() if merge else ():
-                whole.write_rows(rows.pop("index"), rows)
-                for told in note.get("items", [note]):
-                    found.learn(told)
-            failed = {i: why for part in found.failed.values() for i, why in part.items()}
-            totals = ("steps", "rhs_evaluations", "ended")
-            numbers = {
-                "trajectories": scenes.space.size,
-                "done": scenes.space.size - len(failed),
-                "failed": len(failed),
-                **{name: found.totals.get(name, 0.0) for name in totals},
-                "wall_time": elapsed,
-                "ranks": job.comm.size,
-            }
-            whole.finish({"complete": True, **numbers})
-    finally:
-        gathering.drain()
+    shown = None if merge else _shown(scenes.space.size, work, found)
+    layout, record = scenes.layout, job.provenance | about
+    with store.SweepWriter(work, layout, record, scenes.scales(), shown) as whole:
+        for rows, note in items if merge else ():
+            whole.write_rows(rows.pop("index"), rows)
+            for told in note.get("items", [note]):
+                found.learn(told)
+        failed = {i: why for part in found.failed.values() for i, why in part.items()}
+        totals = ("steps", "rhs_evaluations", "ended")
+        numbers = {
+            "trajectories": scenes.space.size,
+            "done": scenes.space.size - len(failed),
+            "failed": len(failed),
+            **{name: found.totals.get(name, 0.0) for name in totals},
+            "wall_time": elapsed,
+            "ranks": job.comm.size,
+        }
+        whole.finish({"complete": True, **numbers})
     summary = {
         "result": str(work.target),
         "complete": False,
