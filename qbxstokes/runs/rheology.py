@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from qbxstokes.case.load import LoadedCase
 from qbxstokes.case.rheology import ISOTROPIC, RheologySection
-from qbxstokes.errors import OutputError, SceneError
+from qbxstokes.errors import OutputError
 from qbxstokes.geometry.spheroid import Spheroid
 from qbxstokes.io.cache import open_cache
 from qbxstokes.motion.diagnostics import orbit_axis
@@ -20,6 +19,7 @@ from qbxstokes.quantities import RHEOLOGY, STRAIN_TIME
 from qbxstokes.reference.stress import stresslet_numbers
 from qbxstokes.runs.parallel import on_root
 from qbxstokes.runs.sharing import RowTeam, with_team
+from qbxstokes.simulation.from_case import pointed
 from qbxstokes.simulation.hydrodynamics import Workshop, hydrodynamics_of
 from qbxstokes.simulation.langevin import BrownianAverages, langevin
 from qbxstokes.simulation.rheology import Rheology, rheology
@@ -32,11 +32,14 @@ if TYPE_CHECKING:
     from qbxstokes.runs.command import Job
 
 
-# Keys of a case that Python names otherwise.
-_KEYS = {"flow": "flow", "stokes_number": "body.stokes_number"} | {
-    name: f"rheology.langevin.{name}"
-    for name in ("trajectories", "strain", "step", "paths", "translation")
-}
+_OF_LANGEVIN = ("trajectories", "strain", "step", "paths", "translation")
+
+
+def _key_of(name: str) -> str:
+    """The key of a case that Python calls by another name."""
+    if name in ("flow", "stokes_number"):
+        return "flow" if name == "flow" else "body.stokes_number"
+    return f"rheology.langevin.{name}" if name in _OF_LANGEVIN else f"rheology.{name}"
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -70,9 +73,9 @@ def _computed(job: Job, averaging: Callable[[Ensemble], list[Sums]]) -> dict[str
     loaded, scene, clock = job.loaded, job.plan.simulation, job.clock
     case = loaded.case
     section = case.rheology
-    with clock.part("set-up"), _pointed(loaded):
+    with clock.part("set-up"), pointed(loaded, _key_of):
         formed = hydrodynamics_of(scene, pushed=True)
-    with clock.part("suspension"), _pointed(loaded):
+    with clock.part("suspension"), pointed(loaded, _key_of):
         found = suspension_of(loaded, scene, {"averaging": averaging})
     errors, references = {}, {}
     shape = scene.body.shape
@@ -151,16 +154,6 @@ def _write_tables(result: Path, arrays: dict[str, Array]) -> list[str]:
                 raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
             written.append(str(path))
     return written
-
-
-@contextmanager
-def _pointed(loaded: LoadedCase) -> Iterator[None]:
-    """Within it what is wrong is told with the case's file and line."""
-    try:
-        yield
-    except SceneError as error:
-        key = _KEYS.get(error.key, f"rheology.{error.key}")
-        raise loaded.error(key, error.wrong, error.right) from None
 
 
 def orientations_of(loaded: LoadedCase) -> tuple[Any, Array | None]:

@@ -34,12 +34,15 @@ LOADS = ("force", "torque", "body_force", "body_torque")  # in the order of `Loa
 
 
 @contextmanager
-def pointed(loaded: LoadedCase) -> Iterator[None]:
-    """Within it what is wrong in a scene is told with the case's file and line."""
+def pointed(loaded: LoadedCase, key_of: Callable[[str], str] = str) -> Iterator[None]:
+    """Within it what is wrong in a scene is told with the case's file and line.
+
+    key_of: the key of the case by that of the scene, if they differ.
+    """
     try:
         yield
     except SceneError as error:
-        raise loaded.error(error.key, error.wrong, error.right) from None
+        raise loaded.error(key_of(error.key), error.wrong, error.right) from None
     except FlowError as error:
         raise loaded.error(("flow", *error.key), str(error)) from None
 
