@@ -62,8 +62,8 @@ class Inside:
         if self._polynomial is None or self._polynomial[0] != before:
             self._polynomial = before, self._nodes(before, start, after)
         weights = _hermite((t - before) / (after - before), after - before)
-        terms = (weights[:, k, None] * node for k, node in enumerate(self._polynomial[1]))
-        return list(self._system.states(sum(terms)))
+        terms = weights[:, :, None] * self._polynomial[1]
+        return list(self._system.states(np.add.reduce(terms, axis=1)))
 
     def _nodes(self, before: float, start: Array, after: float) -> Array:
         """States at the ends and the thirds of a step, then the rates there, (8, n)."""
