@@ -40,6 +40,7 @@ from qbxstokes.typing import Array
 MODEL, BLOCK, STORED_BYTE, HANDOUT, LAYOUT = 0.2, 5e-3, 1.5e-9, 3e-6, 1.2e-6
 # Start of MPI and PETSc, imports and loading of compiled kernels, which the model leaves out.
 START_SECONDS = 2.0
+HALF_TURN = 2e-4  # of an event of a single motion, which lanes do not watch for
 BASE_MEMORY = 220e6
 # A right-hand side of a block takes as long as those of so many trajectories, whatever it holds.
 LANES_OF_A_CALL = 50
@@ -257,7 +258,9 @@ def seconds_of(loaded: LoadedCase, plan: Plan) -> float | None:
     if loaded.case.task == "rheology":
         return suspension_seconds(loaded, plan)
     if isinstance(plan, MotionPlan):
-        return MODEL + begun([plan.simulation], plan.times, plan.quantities)
+        scene = plan.simulation
+        turns = 2.0 * plan.times[-1] / (scene.period or np.inf) if scene.events.half_turns else 0.0
+        return float(MODEL + begun([scene], plan.times, plan.quantities) + HALF_TURN * turns)
     return field_seconds(loaded, plan) if loaded.case.task == "field" else None
 
 
