@@ -15,8 +15,8 @@ from qbxstokes.case.load import load_case
 from qbxstokes.case.values import expression_in_time
 from qbxstokes.errors import CaseError
 from qbxstokes.geometry.spheroid import Spheroid
+from qbxstokes.simulation.arguments import timed
 from qbxstokes.simulation.from_case import loads_and_constraints
-from qbxstokes.simulation.time_vectors import timed
 
 WriteCase = Callable[..., Path]
 CASE: dict[str, Any] = {

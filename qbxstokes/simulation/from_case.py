@@ -20,9 +20,9 @@ from qbxstokes.geometry import rotation
 from qbxstokes.geometry.shape import Shape
 from qbxstokes.motion.diagnostics import jeffery_period, orbit_axis
 from qbxstokes.motion.equations import Constraints, Loads
+from qbxstokes.simulation.arguments import timed
 from qbxstokes.simulation.body import Body
 from qbxstokes.simulation.simulation import Simulation
-from qbxstokes.simulation.time_vectors import timed
 from qbxstokes.typing import Array, Indices
 
 if TYPE_CHECKING:
