@@ -37,7 +37,7 @@ class Loops:
 
 @cache
 def compiled_loops(kernels: ModuleType, degree: int, massless: bool) -> Loops:
-    """The loops for a class of laws (`kernels.KERNELS`), flows of one degree and St = 0 or not."""
+    """The loops for a class of laws (`lanes.KERNELS`), flows of one degree and St = 0 or not."""
     put_in: dict[str, Any] = {name: getattr(kernels, name) for name in _OF_THE_LAW}
     put_in |= kernels.for_compiler(degree) | {"unpack_flow": taylor.UNPACK[degree]}
     if massless:

@@ -33,7 +33,6 @@ from qbxstokes.errors import FlowError
 from qbxstokes.geometry import rotation
 from qbxstokes.motion import taylor
 from qbxstokes.motion.diagnostics import growth
-from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_MASSLESS, ORIENTATION, POSITION, VELOCITY
 from qbxstokes.motion.loads import Constraints, Loads
 from qbxstokes.motion.loops import BlockConstants
@@ -293,7 +292,7 @@ class RigidBodyEquations(Pieces):
         differenced (central, relative error about 1e-10) and the rest is exact.
         """
         rows = list(self._rows(y))
-        step = STEP * 1.0j
+        step = taylor.STEP * 1.0j
         motion = self._motion(t, rows)
         provided = self._table is None
         columns = []
@@ -373,4 +372,4 @@ class RigidBodyEquations(Pieces):
         if self.n_lanes > 1:
             columns = [np.broadcast_arrays(*column) for column in columns]
         values = np.array(columns).imag.reshape(len(columns), self.n_state, self.n_lanes)
-        return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / STEP)
+        return np.asarray(np.moveaxis(values, -1, 0).swapaxes(1, 2) / taylor.STEP)

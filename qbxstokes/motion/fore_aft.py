@@ -1,4 +1,4 @@
-"""Kernels of a body of revolution with fore-aft symmetry, as scalar arithmetic (see `kernels`).
+"""Kernels of a body of revolution with fore-aft symmetry, as scalar arithmetic (see `taylor`).
 
 Its free velocity and angular velocity in a polynomial flow of degree <= 3 follow from the axis d
 and the derivatives of the flow at the centre by few coefficients

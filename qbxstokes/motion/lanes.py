@@ -11,8 +11,13 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from qbxstokes.bie.functional import BodyModel
-from qbxstokes.motion.kernels import KERNELS
+from qbxstokes.motion import fore_aft
 from qbxstokes.typing import Array, Indices
+
+# The kernels of each class of laws (`bie.functional.FaxenCoefficients.symmetry`): a module with
+# `pack_body`, `unpack_body`, `N_NUMBERS`, `ROWS`, `free`, `driven_motion`, `accelerations`,
+# `massless`, `inertial` and `for_compiler`.
+KERNELS: dict[str, Any] = {"fore-aft revolution": fore_aft}
 
 T = TypeVar("T")
 

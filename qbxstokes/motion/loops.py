@@ -19,9 +19,8 @@ import numpy as np
 
 # Those of one class of laws stand for all: compiled.py puts in those of the class at hand.
 from qbxstokes.motion.fore_aft import N_NUMBERS, inertial, massless, unpack_body
-from qbxstokes.motion.kernels import STEP
 from qbxstokes.motion.layout import N_INERTIAL, ORIENTATION, SPIN
-from qbxstokes.motion.taylor import N_FLOW, six, three, unpack_flow
+from qbxstokes.motion.taylor import N_FLOW, STEP, six, three, unpack_flow
 from qbxstokes.typing import Array
 
 TILE = 64

@@ -10,8 +10,7 @@ import numpy as np
 from qbxstokes.bie.functional import BodyModel
 from qbxstokes.flows.base import Flow
 from qbxstokes.geometry import rotation
-from qbxstokes.motion.kernels import KERNELS
-from qbxstokes.motion.lanes import FreeMotion
+from qbxstokes.motion.lanes import KERNELS, FreeMotion
 from qbxstokes.motion.taylor import ROWS, pack_second, quaternion_rate_space
 from qbxstokes.typing import Array
 

@@ -1,4 +1,16 @@
-"""A polynomial flow and its derivatives at a point, and frames that turn (see `kernels`).
+"""The equations of motion as scalar arithmetic: a polynomial flow at a point, frames that turn.
+
+Every function here and of the modules that `lanes.KERNELS` lists takes and returns plain numbers
+and uses +, -, *, / alone. The same source therefore runs in many ways: on Python floats, on NumPy
+rows (one entry per lane), recorded and written out for the constants of a scene (tracing.py:
+one body, nothing to load), compiled by numba over a block (loops.py, compiled.py), and on complex
+numbers, which makes the Jacobian exact to rounding: Im f(y + i h e)/h has no subtraction, so that h
+may be 1e-100 (Squire & Trapp, SIAM Rev. 40, 1998).
+
+The state of a body is that of `layout`: x, q and, for St > 0, V and W. The right-hand side does not
+see the length of q: R(q) is divided by |q|^2, so that f is homogeneous in q, a Runge-Kutta step
+commutes with scaling q, and q may be scaled to unit length at any time without any effect on the
+orbit.
 
 Derivatives come packed, symmetric indices once: velocity u_i, gradient A_ij by rows, second =
 (d_j d_k u_i for jk = 11 22 33 12 13 23, by i), third = (d_j d_k d_l u_i for 111 112 113 122 123 133
@@ -21,6 +33,7 @@ Matrix = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, S
 Quaternion = tuple[Scalar, Scalar, Scalar, Scalar]
 Twist = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
+STEP = 1e-100  # h of the complex steps
 # Numbers of a flow, and how many of them the kernels of a degree read.
 N_FLOW = 64
 ROWS = {1: 16, 2: 34, 3: 64}

@@ -12,7 +12,7 @@ max(1, |x|), in x. Both Runge-Kutta pairs propagate the formula of higher order 
 lower one, which makes the global error proportional to the local tolerance; the factor is the
 sensitivity of the equations (`RigidBodyEquations.sensitivity`), and the tolerance is divided by it.
 
-The quaternion's length has no effect on the motion (`motion.kernels`); it is 1 after every cut.
+The quaternion's length has no effect on the motion (`motion.taylor`); it is 1 after every cut.
 """
 
 from __future__ import annotations
