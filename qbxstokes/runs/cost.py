@@ -48,6 +48,7 @@ LANES_OF_A_CALL = 50
 # (s); steps that tell how many are to come; samples and points that tell what each takes.
 BEGUN, BUDGET, LOOK = 4, 0.25, 0.03
 TELLING, SAMPLED, POINTS = 60, 50, 2000
+WEIGHED = 200  # scenes that are forecast where there are many
 # The same of motions of several bodies (s), and random axes of a suspension that are followed.
 COUPLED_BUDGET, AXES = 1.0, 256
 
@@ -105,9 +106,9 @@ def _exact(scene: Simulation) -> Hydrodynamic:
     return Hydrodynamic(exact_model(scene.body.shape) or scene.body.model, near)
 
 
-def weights(scenes: Scenes, most: int = 200) -> Array:
+def weights(scenes: Scenes) -> Array:
     """Right-hand sides per trajectory of every scene; those of a sample where there are many."""
-    known = np.unique(np.linspace(0, scenes.size - 1, min(scenes.size, most)).astype(int))
+    known = np.unique(np.linspace(0, scenes.size - 1, min(scenes.size, WEIGHED)).astype(int))
     values = []
     for number in known.tolist():
         try:

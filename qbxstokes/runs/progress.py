@@ -16,7 +16,6 @@ from qbxstokes.petsc.session import stage
 from qbxstokes.runs.report import duration
 
 Style = Literal["auto", "bar", "line", "none"]
-STYLES = ("auto", "bar", "line", "none")
 
 # A bar, of so many signs, is drawn again at most this often; a line at growing intervals, so that a
 # log stays short.
