@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -36,6 +37,12 @@ def power_weights(times: Array, interpolation: str) -> tuple[Integers, Array]:
 @lru_cache(maxsize=16)  # many series of one run have the same instants
 def _kept_weights(times: bytes, interpolation: str) -> tuple[Integers, Array]:
     return power_weights(np.frombuffer(times), interpolation)
+
+
+def within(instants: Sequence[Array], end: float) -> Array:
+    """Those between 0 and `end`, in order."""
+    found = np.concatenate(instants)
+    return np.unique(found[(found > 0.0) & (found < end)]) if len(found) else found
 
 
 class Between:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from qbxstokes.errors import FlowError, FlowFunctionError, SinglePrecisionWarning
-from qbxstokes.flows.interpolation import Between, Series
+from qbxstokes.flows.interpolation import Between, Series, within
 from qbxstokes.flows.values import DOUBLE, SINGLE, Key, settled, tensor, traceless
 from qbxstokes.typing import Array, Indices, Integers
 
@@ -49,12 +49,6 @@ _STEP = 2  # pieces of a function that a step may be long
 _JUMP = 100.0
 _LEAST = 1e7  # steps of a run beyond which it is refused
 _NOTHING = 1e-290  # the trace of a gradient whose digits are lost
-
-
-def within(instants: Sequence[Array], end: float) -> Array:
-    """Those between 0 and `end`, in order."""
-    found = np.concatenate(instants)
-    return np.unique(found[(found > 0.0) & (found < end)]) if len(found) else found
 
 
 @dataclass(frozen=True)

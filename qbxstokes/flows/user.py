@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from qbxstokes.errors import FlowError, FlowFunctionError
 from qbxstokes.flows.base import Flow
 from qbxstokes.flows.differences import curl, gradient_of, laplacian_gradient_of, laplacian_of
-from qbxstokes.flows.interpolation import Between
+from qbxstokes.flows.interpolation import Between, within
 from qbxstokes.flows.values import instants, number, tensor
 from qbxstokes.typing import Array
 
@@ -182,7 +182,7 @@ class UserFlow(Between, Flow):
 
     def breaks(self, end: float, rough: float = 0.0) -> Array:
         """Those that were given."""
-        return self._breaks[(self._breaks > 0.0) & (self._breaks < end)]
+        return within([self._breaks], end)
 
     def gradient(self, x: ArrayLike, t: float = 0.0) -> Array:
         """Velocity gradient (..., 3, 3) by extrapolated differences."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from qbxstokes.errors import ConvergenceError, FlowError, FlowFunctionError, SceneError
 from qbxstokes.flows.check import check_stokesian, seems_stokesian
-from qbxstokes.flows.signals import within
+from qbxstokes.flows.interpolation import within
 from qbxstokes.geometry import rotation
 from qbxstokes.motion.contacts import Contact, Contacts, Gap, edge_gap, singular_gap
 from qbxstokes.motion.equations import RigidBodyEquations
