@@ -15,16 +15,19 @@ _ITERATIONS = 200
 
 
 @njit(cache=compiled_are_kept())
+def _half_width(m, axis, k, size):  # type: ignore[no-untyped-def]
+    along = m[0] * axis[0] + m[1] * axis[1] + m[2] * axis[2]
+    return size * math.sqrt(k * k + (1.0 - k * k) * along * along)
+
+
+@njit(cache=compiled_are_kept())
 def value(m, apart, axes, ratios, sizes):  # type: ignore[no-untyped-def]
     """m.apart less the half widths of both bodies along m."""
     total = 0.0
     for i in range(3):
         total += m[i] * apart[i]
     for body in range(2):
-        k2, along = ratios[body] ** 2, 0.0
-        for i in range(3):
-            along += m[i] * axes[body, i]
-        total -= sizes[body] * math.sqrt(k2 + (1.0 - k2) * along * along)
+        total -= _half_width(m, axes[body], ratios[body], sizes[body])
     return total
 
 
@@ -137,12 +140,6 @@ def _rate(gap, m, axis, k, size, h, other):  # type: ignore[no-untyped-def]
     s = squared - e2
     alpha2 = 0.5 * (s + math.sqrt(s * s + 4.0 * e2 * rho2))
     return math.log((math.sqrt(alpha2) + math.sqrt(alpha2 + e2)) / (1.0 + k))
-
-
-@njit(cache=compiled_are_kept())
-def _half_width(m, axis, k, size):  # type: ignore[no-untyped-def]
-    along = m[0] * axis[0] + m[1] * axis[1] + m[2] * axis[2]
-    return size * math.sqrt(k * k + (1.0 - k * k) * along * along)
 
 
 @njit(cache=compiled_are_kept())

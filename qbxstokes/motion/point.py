@@ -78,7 +78,7 @@ class PointMotion:
         if second is not None:
             flow[16:34] = pack_second(second).T
         self._loop(y, out, flow, self._body, None, None, None, None)
-        back = q[:, :1].T * [1.0, -1.0, -1.0, -1.0] / np.linalg.norm(y[3:7, 0])
+        back = rotation.conjugate(q[:, :1].T) / np.linalg.norm(y[3:7, 0])
         omega = 2.0 * rotation.multiply(out[3:7, :1].T, back)[:, 1:]
         found = np.concatenate([out[:3, :1].T, omega], axis=1)
         self._look(t, x[:1], q.T[:1], found, gradient[:1])
