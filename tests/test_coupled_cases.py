@@ -305,3 +305,19 @@ print("loaded", [m for m in own if any(word in m for word in mine)])
     )
     assert done.stdout.rstrip().endswith("loaded []")
     assert "their answer to the body is not in the" in done.stdout
+
+
+def test_a_missed_tolerance_is_told(
+    run_cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of velocities relative to those that the loads, opposite here, give each body alone."""
+    monkeypatch.setattr("qbxstokes.simulation.solved_instant._factor", lambda *_: 1e-3)
+    up, down = ({"force": [0, 0, sign]} for sign in (1.0, -1.0))
+    bodies = [{"aspect_ratio": 1, "forces": up}, {"aspect_ratio": 1, "forces": down}]
+    bodies[1]["start"] = {"position": [0, 0, 2.2]}
+    case = {"task": "body", "bodies": bodies, "hydrodynamics": {"tolerance": 1e-3}}
+    (tmp_path / "near.yaml").write_text(json.dumps(case))
+    done = run_cli("near.yaml")
+    assert done.returncode == 0
+    assert "hydrodynamics.tolerance 0.001 is missed: errors come to about" in done.stderr
+    assert "                        body 2: force (0, 0, -1)" in done.stdout
