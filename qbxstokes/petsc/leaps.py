@@ -48,7 +48,8 @@ class Leaps:
         edges, known = self._system.seen(t)
         if t + 1.001 * self._ts.getTimeStep() > known:
             return False
-        most, until = min(last - self._ts.getStepNumber(), _MOST), until - 1e-13 * abs(until)
+        most = max(1, min(last - self._ts.getStepNumber(), _MOST))
+        until -= 1e-13 * abs(until)
         failed, self.before, self.passed = self._run(
             *self._handles, until, known, most, self.start, edges, *self._look
         )
