@@ -504,3 +504,26 @@ def test_stiff_bodies_in_a_function_known_to_rounding() -> None:
     )
     assert np.abs(found.axis - exact.axis).max() < 1e-7
     assert exact.summary["steps"] < 2000
+
+
+def test_a_function_that_changes_between_motions_is_looked_at_anew() -> None:
+    """And a motion has the same bits whatever has been followed in its flow before."""
+    size = [0.01]
+
+    def gradient(t: float) -> Any:
+        return [[0, size[0] * np.cos(t), 0], [0, 0, 0], [0, 0, 0]]
+
+    body, start = qs.Body(0.05), [0.48, 0.6, 0.64]
+
+    def followed(flow: Any) -> Any:
+        return body.integrate(flow, [5.0], orientation=start, tolerance=1e-6)
+
+    flow = qs.flow("linear", gradient=gradient)
+    followed(flow)
+    size[0] = 10.0
+    changed, fresh = followed(flow), followed(qs.flow("linear", gradient=gradient))
+    body.axes(flow, [5.0], start, tolerance=1e-10)
+    again = followed(flow)
+    for found in (changed, again):
+        assert found.summary == fresh.summary
+        assert np.array_equal(found.orientation, fresh.orientation)

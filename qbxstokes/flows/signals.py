@@ -36,11 +36,11 @@ _ROUNDING, _NOISE = 2e-15, SINGLE
 _HALVINGS, _MOST, _WINDOW = 45, 20_000, 64
 # Numbers of samples taken up at a time, and of coefficients that are kept.
 _SAMPLES, _KEPT = 100_000, 500_000
-# Halvings within which noise is the function's, and beyond which it is that of the instants.
-_ROUGH = 10
 NO_BOUND = "the rates of change grow without bound"
-# Part of a piece below which a function that fails is not followed up to where it does.
-_EDGE = 1e-4
+# Halvings within which noise is the function's, and beyond which it is that of the instants; part
+# of a piece below which a function that fails is not followed up to where it does.
+_ROUGH, _EDGE = 10, 1e-4
+_ALTERNATE = 3  # motions whose numbers are kept besides the last one's
 # Where a function is asked whether it is still what it was, as parts of a run.
 _PROBES = np.array([0.0, 0.137, 0.618, 0.911])
 _BREAKS = ("breaks",)  # the key that would help a function that is not smooth
@@ -130,7 +130,8 @@ class Signal(Between):
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(parts)
         self.spacing = min(part.spacing for part in parts)
-        self._known: tuple[Any, Array, Sampled] | None = None
+        self._known: dict[Any, tuple[Array, Sampled]] = {}
+        self._last: Sampled | None = None
 
     @cached_property
     def series(self) -> Series | None:
@@ -158,15 +159,13 @@ class Signal(Between):
         return np.concatenate([part.many(t) for part in self.parts], axis=1)
 
     def about(self, t: Array) -> Array:
-        """The same to the accuracy of the motion at hand, where it has come so far."""
-        known = None if self._known is None else self._known[2]
-        if (
-            known is not None
-            and known.piece(float(t.max())) >= 0
-            and known.piece(float(t.min())) >= 0
-        ):
-            return known.many(t)
-        return self.many(t)
+        """The same to the accuracy of the motion at hand, where one window is all of it."""
+        known = self._last
+        if known is None or len(known._cuts) > known._size + 1:
+            return self.many(t)
+        if min(known.piece(t.min()), known.piece(t.max())) < 0:
+            return self.many(t)
+        return known.many(t)
 
     def joined(self, other: Signal) -> Signal:
         """The numbers of both."""
@@ -177,18 +176,16 @@ class Signal(Between):
 
         What was sampled before serves again, if the numbers have stayed what they were.
         """
-        asked = end, longest
+        asked = end, accuracy, longest
         try:
             probes = self.many(end * _PROBES)
         except FlowError:
             probes = np.array([np.nan])  # never the same
-        if self._known is not None:
-            known, values, found = self._known
-            same = known == asked and found.accuracy <= accuracy and found.edges[0] == 0.0
-            if same and found.refusal is None and np.array_equal(values, probes):
-                return found
-        found = Sampled(self, end, accuracy, longest)
-        self._known = asked, probes, found
+        values, found = self._known.get(asked, (probes, None))
+        if not found or found.refusal or found.edges[0] or not np.array_equal(values, probes):
+            found = Sampled(self, *asked)
+            self._known = dict([*self._known.items()][-_ALTERNATE:]) | {asked: (probes, found)}
+        self._last = found
         return found
 
 
@@ -276,8 +273,7 @@ class Sampled:
         """The polynomials of pieces (...) at instants (...)."""
         x = ((t - self.origins[pieces]) * self.scales[pieces])[..., None]
         powers = x ** np.arange(self.coefficients.shape[1])
-        found: Array = np.einsum("...k,...km->...m", powers, self.coefficients[pieces])
-        return found
+        return np.asarray(np.einsum("...k,...km->...m", powers, self.coefficients[pieces]))
 
     def _extend(self, begin: float) -> None:
         """One more window; those that are over by `begin` are passed over."""

@@ -181,6 +181,17 @@ class RigidBodyEquations(Pieces):
             np.all(flow.odd_about(y[lanes, POSITION])) for flow, lanes in self._flows.groups()
         )
 
+    def sample(self, tolerance: float, begin: float, end: float, longest: float | None) -> None:
+        """From now on know flows that change as polynomials in time, from `begin` to `end`."""
+        if self.changing is None:
+            return
+        span, accuracy = end or 1.0, self.accuracy_in_time(tolerance)
+        longest = longest or 0.02 * span
+        if self.changing.sample(span, accuracy, longest):  # what was found of others is void
+            self._mean_rate, self._sensitivity = (None, np.empty(0)), None
+        if end > 0.0:
+            self.changing.cover(begin, min(end, begin + longest))
+
     def sensitivity(self, t: float, y: Array, horizon: float) -> float:
         """How many times the error of one step may grow until `horizon` later.
 

@@ -56,10 +56,11 @@ class FlowRows:
         # Ends of the piece asked for last, its origin and scale, and its coefficients, last first.
         self._piece: tuple[float, float, float, float, Any] = (0.0, 0.0, 0.0, 0.0, None)
 
-    def sample(self, end: float, accuracy: float, longest: float) -> None:
-        """From now on be polynomials in time, for motions that end at `end`."""
-        self._sampled = self._signal.sampled(end, accuracy, longest)
+    def sample(self, end: float, accuracy: float, longest: float) -> bool:
+        """From now on be polynomials in time, for motions that end at `end`; whether others."""
+        before, self._sampled = self._sampled, self._signal.sampled(end, accuracy, longest)
         self._piece = (0.0, 0.0, 0.0, 0.0, None)
+        return before is not self._sampled
 
     def cover(self, begin: float, t: float) -> float:
         """Know the flows from `begin` to t, if possible; the instant up to which they are known."""

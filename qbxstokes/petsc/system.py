@@ -67,9 +67,7 @@ class System:
         self.prefix, self._longest = prefix, longest_step
         self.counter = Counter(start.evaluations, start.jacobians)
         self._changing = equations.changing
-        if self._changing is not None:
-            span, accuracy = end or 1.0, equations.accuracy_in_time(tolerance)
-            self._changing.sample(span, accuracy, longest_step or 0.02 * span)
+        equations.sample(tolerance, start.time, end, longest_step)
         self.guide = Forecast(equations, start.time, start.state, end, tolerance, breaks)
         self._tolerance = tolerance
         self._wanted = start.method or method or self.guide.method

@@ -123,13 +123,16 @@ class Assembled:
     def _breaks(self, end: float, longest: float | None) -> Array:
         """`watching.breaks_of` all flows, and `stops_of` those whose functions are asked."""
         flows, equations = [part.flow for part in self.parts], self.equations
+        found = breaks_of(flows, end, 0.0)
         if not longest:  # nothing changes in time, or the run is its start
-            return breaks_of(flows, end, 0.0)
+            return found
         if equations.changing is not None:
+            if not len(found):
+                return found
             local = self.tolerance / equations.sensitivity(0.0, self.initial, end)
             return breaks_of(flows, end, local / longest)
         stops = stops_of(flows, end, equations.accuracy_in_time(self.tolerance), longest)
-        return np.union1d(breaks_of(flows, end, 0.0), stops)
+        return np.union1d(found, stops)
 
     def _longest_step(self, end: float) -> float | None:
         """Bound on the steps where something changes in time: the start tells nothing of it.
