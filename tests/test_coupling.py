@@ -354,3 +354,14 @@ def test_the_least_gap_is_that_between_steps() -> None:
     nearest = found.summary["events"]["nearest"]
     assert nearest["gap"] == pytest.approx(found.gap.min(), rel=1e-3)
     assert nearest["time"] == pytest.approx(found.time[np.argmin(found.gap)], abs=0.03)
+
+
+def test_scenes_take_over_the_memory_of_tables() -> None:
+    """Scenes that are kept hold none of a gigabyte each; what was lost is made again."""
+    x = [[0, 0, 0], [0, 0, 2.5]]
+    one, other = (qs.Suspension([qs.Body(k)] * 2, tolerance=1e-3) for k in (0.5, 1.0))
+    problem = one.problem(one.placed(x, None))
+    first, second = one.resistance_of(problem), other.resistance(x)
+    assert problem.workspace is other.problem(other.placed(x, None)).workspace
+    assert np.array_equal(one.resistance_of(problem), first)
+    assert np.array_equal(other.resistance(x), second)

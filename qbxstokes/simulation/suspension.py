@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -39,6 +40,16 @@ MOST_RESISTANCE = 50
 _SUMS, _SOLVER, _LOOSER = 0.1, 0.1, 10.0
 
 
+class _Kept(threading.local):
+    """Memory of tables, a gigabyte at most, that all scenes of a thread take over."""
+
+    def __init__(self) -> None:
+        self.workspace = Workspace()
+
+
+_KEPT = _Kept()
+
+
 class Suspension:
     """Rigid spheroids in one fluid, with or without a plane wall, at an instant.
 
@@ -71,7 +82,6 @@ class Suspension:
         if not 1e-12 <= tolerance <= 0.1:
             raise SceneError("tolerance", f"is {tolerance:g}", "between 1e-12 and 0.1")
         self.wall, self.tolerance, self.comm = surroundings, float(tolerance), comm
-        self._workspace = Workspace()
         self._known: Flow | None = None  # a polynomial that was found to be a flow: everywhere
 
     def __len__(self) -> int:
@@ -132,7 +142,7 @@ class Suspension:
         looser: factor on the errors of sums and solver.
         """
         chosen, tolerance = list(nodes or self.grids(places)), looser * _SUMS * self.tolerance
-        problem = Coupled(places, self.wall, chosen, tolerance, workspace=self._workspace)
+        problem = Coupled(places, self.wall, chosen, tolerance, workspace=_KEPT.workspace)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
 
