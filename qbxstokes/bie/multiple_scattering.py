@@ -209,7 +209,7 @@ class Coupled:
         rate = float(closest(self.bodies, self.wall)[2].min())
         left = math.exp(-_LESS * SLOW * rate)
         size = max(size, float(np.abs(fine).max(initial=0.0)))
-        factor = max(2.0, 3.0 * left / max(1.0 - left, 1e-3))
+        factor = max(1.0, 2.0 * left / max(1.0 - left, 1e-3))
         return change * factor + _SHARED * self.tolerance * size
 
     def split(self, x: Array) -> Array:
