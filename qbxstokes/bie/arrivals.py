@@ -7,6 +7,7 @@ the other in memory that the next instant takes over.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,8 @@ _TOGETHER, _CLOSER, MIRRORED = 4096, 1e-3, 0.1
 KEPT_NUMBERS = 1.5e8
 
 
-class Workspace:
-    """Memory for the tables of one problem at a time."""
+class Workspace(threading.local):
+    """Memory for the tables of one problem of a thread at a time, a gigabyte at most."""
 
     def __init__(self) -> None:
         self.values = np.empty(0)
@@ -40,6 +41,9 @@ class Workspace:
             self.values = np.empty(count + count // 8)
         self.owner = owner
         return self.values
+
+
+SHARED = Workspace()  # by the problems of all scenes
 
 
 @dataclass(frozen=True)

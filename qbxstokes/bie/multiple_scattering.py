@@ -30,13 +30,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from qbxstokes.bie.arrivals import MIRRORED, Arrivals, Workspace
+from qbxstokes.bie.arrivals import MIRRORED, SHARED, Arrivals, Workspace
 from qbxstokes.bie.scatterer import LOW, Scatterer, scatterer
 from qbxstokes.geometry.gaps import Gaps, gaps_between
 from qbxstokes.geometry.shape import Revolution
@@ -132,7 +132,7 @@ class Coupled:
     tolerance: float = 1e-12
     shares: Sequence[Mapping[int, Integers]] | None = None
     rank: int = 0
-    workspace: Workspace = field(default_factory=Workspace)
+    workspace: Workspace = SHARED
 
     @cached_property
     def circles(self) -> Mapping[int, Integers]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import warnings
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qbxstokes.bie.arrivals import Workspace
 from qbxstokes.bie.multiple_scattering import Coupled, Placed
 from qbxstokes.bie.scatterer import LOW
 from qbxstokes.errors import SceneError
@@ -38,16 +36,6 @@ MOST_RESISTANCE = 50
 # How much more closely harmonics are summed than the grids resolve, how much more closely than that
 # the linear system is solved, and how much less closely both for the estimate of errors.
 _SUMS, _SOLVER, _LOOSER = 0.1, 0.1, 10.0
-
-
-class _Kept(threading.local):
-    """Memory of tables, a gigabyte at most, that all scenes of a thread take over."""
-
-    def __init__(self) -> None:
-        self.workspace = Workspace()
-
-
-_KEPT = _Kept()
 
 
 class Suspension:
@@ -142,7 +130,7 @@ class Suspension:
         looser: factor on the errors of sums and solver.
         """
         chosen, tolerance = list(nodes or self.grids(places)), looser * _SUMS * self.tolerance
-        problem = Coupled(places, self.wall, chosen, tolerance, workspace=_KEPT.workspace)
+        problem = Coupled(places, self.wall, chosen, tolerance)
         if self.comm is not None:
             from qbxstokes.petsc.coupled import dealt
 
