@@ -5,8 +5,8 @@ tolerance asks for at the distance; `plain`: plain quadrature of the velocity wi
 of a grid of 8 by 16 that the tolerance takes there. (Errors: tests/stress/test_points.py.)
 
 Run:      python cases/benchmarks/field.py      (30 s; --small: 5 s; --csv)
-Expected: a point costs a microsecond at any distance by the table, and near the surface plain
-          upsampling cannot follow.
+Expected: a point costs 0.1 to 0.2 microseconds at any distance by the table, and near the surface
+          plain upsampling cannot follow.
 """
 
 from functools import partial
