@@ -130,7 +130,8 @@ def test_motions_through_near_contact_end_within_their_expected_error(see: See) 
         if exact.ended_by:  # it needs wider gaps
             rough = run(tolerance, float(exact.time[-1]))
         nearest = exact.summary["events"]["nearest"]
-        assert nearest["gap"] <= exact.gap.min() + 1e-12
+        # Samples are states with quaternions made unit, which moves surfaces by rounding of a run.
+        assert nearest["gap"] <= exact.gap.min() + 1e-10
         error = np.abs(rough.position[-1] - exact.position[-1]).max()
         error = max(error, np.abs(rough.axis[-1] - exact.axis[-1]).max())
         told = rough.summary["expected_error"]["total"]
