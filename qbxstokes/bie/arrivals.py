@@ -183,7 +183,7 @@ class Arrivals:
             values = self._workspace.take(self, self._size)
             self._fill(self._blocks[self._blocks[:, 6] >= 0], values)
         about = self._points, self.flows, self._turns, self._normals, self._sizes, self._above
-        where = self._at, most, velocity, np.zeros(len(velocity))
+        where = self._at, most, velocity
         if len(pairs.kept):
             add_arrivals(pairs.kept, self._workspace.values, *about, *where)
         for number in pairs.made:

@@ -159,21 +159,19 @@ def add_velocities(points, table, c, most, turn, at, total):  # type: ignore[no-
 
 
 @njit(cache=compiled_are_kept(), fastmath=True, inline="always")
-def add_answers(  # type: ignore[no-untyped-def]
-    points, table, c, most, turn, normal, size, heights, at, velocity, pressure
-):
-    """Add to velocity[at], turned, and pressure[at] a wall's answer to the flow of table and c.
+def add_answers(points, table, c, most, turn, normal, size, heights, at, velocity):  # type: ignore[no-untyped-def]
+    """Add to velocity[at], turned, a wall's answer to the flow of table and c.
 
     points (P, 3): mirrored, in the body frame and in its unit of length, size; heights (P,) of the
     others above the wall; normal (3,): N of the wall, in the body frame; the rest as in
     `add_velocities`. See `bie.multiple_scattering`; with the second derivatives E_ij:
-    grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B), p = -2 E_i B_i.
+    grad(u . N)_i = E_i B_N - E_N B_i + E_iN (C - x . B), grad(p)_i = -2 E_ij B_j.
     """
     n0, n1, n2 = normal[0], normal[1], normal[2]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u0, u1, u2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        q0, q1, q2, p = 0.0, 0.0, 0.0, 0.0
+        q0, q1, q2 = 0.0, 0.0, 0.0
         for j in range(most):
             b0, b1, b2 = c[0, j], c[1, j], c[2, j]
             s = c[3, j] - x * b0 - y * b1 - z * b2
@@ -190,22 +188,19 @@ def add_answers(  # type: ignore[no-untyped-def]
             q0 += xx * b0 + xy * b1 + xz * b2
             q1 += xy * b0 + yy * b1 + yz * b2
             q2 += xz * b0 + yz * b1 + zz * b2
-            p += e0 * b0 + e1 * b1 + e2 * b2
         h = heights[i] / size
         v0, v1, v2 = 2.0 * h * (g0 - h * q0), 2.0 * h * (g1 - h * q1), 2.0 * h * (g2 - h * q2)
         back = 2.0 * (v0 * n0 + v1 * n1 + v2 * n2)
         v0, v1, v2 = v0 - back * n0 - u0, v1 - back * n1 - u1, v2 - back * n2 - u2
         for a in range(3):
             velocity[at[i], a] += turn[a, 0] * v0 + turn[a, 1] * v1 + turn[a, 2] * v2
-        lift, push = g0 * n0 + g1 * n1 + g2 * n2, q0 * n0 + q1 * n1 + q2 * n2
-        pressure[at[i]] += (4.0 * h * push - 2.0 * p - 4.0 * lift) / size
 
 
 @njit(cache=compiled_are_kept(), fastmath=True)
 def add_arrivals(  # type: ignore[no-untyped-def]
-    blocks, values, points, flows, turns, normals, sizes, heights, at, most, velocity, pressure
+    blocks, values, points, flows, turns, normals, sizes, heights, at, most, velocity
 ):
-    """Add to velocity (P, 3), and the wall's answers to pressure (P,), what blocks (M, 9) say.
+    """Add to velocity (P, 3) what blocks (M, 9) say.
 
     A block: whether mirrored; its number, which turns, normals and sizes go by; where a packed flow
     begins in flows and its width; columns and degree of its table; where that begins in values;
@@ -222,6 +217,6 @@ def add_arrivals(  # type: ignore[no-untyped-def]
         turn = turns[number]
         if mirrored:
             above, size = heights[first : first + count], sizes[number]
-            add_answers(x, e, c, few, turn, normals[number], size, above, where, velocity, pressure)
+            add_answers(x, e, c, few, turn, normals[number], size, above, where, velocity)
         else:
             add_velocities(x, e, c, few, turn, where, velocity)

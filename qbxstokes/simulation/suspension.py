@@ -338,8 +338,8 @@ class Suspension:
         for motion, background in cases:
             x = solver.solve(problem.rigid_data(motion) - problem.background(background))
             _, sent = solver.swept(x)
-            flows = [sent[b].copy() for b in range(len(self))]
-            loads = np.stack([problem.force(b, flow) for b, flow in sorted(sent.items())])
+            flows = [sent[b] for b in range(len(self))]
+            loads = np.stack([problem.force(b, flow) for b, flow in enumerate(flows)])
 
             def again(nodes: list[int], one: Any = (motion, background)) -> Solution:
                 return self.solved_held(self.problem(problem.bodies, nodes, _LOOSER), [one])[0]
