@@ -10,7 +10,7 @@ from numba import njit
 
 from qbxstokes.folders import compiled_are_kept
 from qbxstokes.qbx.exterior_kernel import confocal, second_derivatives
-from qbxstokes.qbx.exterior_sums import HARMONIC, LANES, OWN, PLACE, fill, pair, six
+from qbxstokes.qbx.exterior_sums import HARMONIC, LANES, OWN, PLACE, fill, pair, six, three
 
 
 @njit(inline="always")
@@ -42,8 +42,7 @@ def tabulate(points, k, degree, orders, start, recurrence, second, table):  # ty
         fill(k, degree, orders, recurrence, second, place, made, q, own)
         for i in range(few):
             at, of = group + i, made[i:]
-            g = place[3 * LANES + i], place[4 * LANES + i], place[5 * LANES + i]
-            h = place[6 * LANES + i], place[7 * LANES + i], place[8 * LANES + i]
+            g, h = three(place, 3, i), three(place, 6, i)
             gg, hh = six(place, 11, i), six(place, 17, i)
             w = complex(1.0, 0.0)
             for m in range(orders):

@@ -138,16 +138,15 @@ def pair(rows, row, i):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
+def three(rows, row, i):  # type: ignore[no-untyped-def]
+    """The numbers of a point in three rows."""
+    return rows[row * LANES + i], rows[(row + 1) * LANES + i], rows[(row + 2) * LANES + i]
+
+
+@njit(inline="always")
 def six(rows, row, i):  # type: ignore[no-untyped-def]
     """The numbers of a point in six rows."""
-    return (
-        rows[row * LANES + i],
-        rows[(row + 1) * LANES + i],
-        rows[(row + 2) * LANES + i],
-        rows[(row + 3) * LANES + i],
-        rows[(row + 4) * LANES + i],
-        rows[(row + 5) * LANES + i],
-    )
+    return three(rows, row, i) + three(rows, row + 3, i)
 
 
 @njit(inline="always")
@@ -210,8 +209,7 @@ def add_up(place, table, degree, orders, k, c, start, second, own):  # type: ign
         first += degree + 1 - m
         for i in range(LANES):
             x, y, z = place[i], place[LANES + i], place[2 * LANES + i]
-            g = place[3 * LANES + i], place[4 * LANES + i], place[5 * LANES + i]
-            h = place[6 * LANES + i], place[7 * LANES + i], place[8 * LANES + i]
+            g, h = three(place, 3, i), three(place, 6, i)
             w, w1, w2 = pair(own, 16, i), pair(own, 18, i), pair(own, 20, i)
             a, b, e, s = pair(own, 22, i), pair(own, 24, i), pair(own, 26, i), pair(own, 28, i)
             ag, bg, eg, sg = pair(own, 30, i), pair(own, 32, i), pair(own, 34, i), pair(own, 36, i)
